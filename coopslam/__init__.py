@@ -1,0 +1,1 @@
+"""A factor-graph SLAM backend for cooperating robots."""

@@ -1,0 +1,110 @@
+"""What every estimator returns."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from coopslam.errors import BadInput, UnderDetermined
+from coopslam.estimation.keys import vertex_key
+from coopslam.estimation.timeline import Timeline
+from coopslam.se2 import Pose2, PoseBelief, chain_covariance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """The poses of one robot in the frame of the estimate, by time."""
+
+    stamps_s: np.ndarray  # (N,)
+    poses: list[Pose2]  # N
+    covariances: np.ndarray | None = None  # (N, 3, 3); axes of each pose; m, m, rad
+
+
+class Estimate(ABC):
+    """Poses of robots and map vertices in the frame of the first robot's start, and how well they are known.
+
+    A view of its estimator: after the next update it tells the newer values. Everything is computed when asked.
+    """
+
+    def __init__(self, timeline: Timeline):
+        self.timeline = timeline
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """Names of all robots."""
+        return self.timeline.robots
+
+    @property
+    def vertices(self) -> list[int]:
+        """Ids of the map vertices, in the order in which they were placed."""
+        return list(self.timeline.vertices)
+
+    def pose_key(self, robot: str) -> int:
+        """Key of the robot's latest pose variable. Raises UnderDetermined while it is not placed."""
+        return self._keys(robot)[-1]
+
+    def vertex_key(self, vertex: int) -> int:
+        """Key of a map vertex. Raises UnderDetermined when it is not placed."""
+        if not self.timeline.is_placed(vertex):
+            raise UnderDetermined(f"vertex {vertex} is not in the estimate: no placed robot has seen it")
+        return vertex_key(vertex)
+
+    def pose(self, robot: str) -> Pose2:
+        """T_world_robot now: its latest variable and what it has driven since."""
+        return self.value(self.pose_key(robot)) * self.timeline.tracks[robot].T_last_now
+
+    def belief(self, robot: str) -> PoseBelief:
+        """The robot now, with its covariance."""
+        key, track = self.pose_key(robot), self.timeline.tracks[robot]
+        cov = chain_covariance(track.T_last_now, self.covariance(key), track.cov_now)
+        return PoseBelief(self.value(key) * track.T_last_now, cov)
+
+    def vertex(self, vertex: int) -> Pose2:
+        """T_world_vertex: position of a corner, heading of the wall that leaves it."""
+        return self.value(self.vertex_key(vertex))
+
+    def vertex_belief(self, vertex: int) -> PoseBelief:
+        """A map vertex with its covariance."""
+        key = self.vertex_key(vertex)
+        return PoseBelief(self.value(key), self.covariance(key))
+
+    def trajectory(self, robot: str) -> Trajectory:
+        """All poses of a robot as known now, with covariances."""
+        keys = self._keys(robot)
+        poses = [self.value(key) for key in keys]
+        return Trajectory(self._stamps(keys), poses, self._covariances(keys))
+
+    @abstractmethod
+    def value(self, key: int) -> Pose2:
+        """The pose of any placed variable."""
+
+    @abstractmethod
+    def covariance(self, key: int) -> np.ndarray:
+        """(3, 3) marginal covariance of a variable in its own axes; m, m, rad."""
+
+    @abstractmethod
+    def joint_covariance(self, keys: Sequence[int]) -> np.ndarray:
+        """(3k, 3k) joint covariance of k different variables: blocks in the order asked, each in its own axes."""
+
+    @abstractmethod
+    def causal_trajectory(self, robot: str) -> Trajectory:
+        """Each pose as known right after the update that made it; without covariances."""
+
+    def _covariances(self, keys: Sequence[int]) -> np.ndarray:
+        return np.array([self.covariance(key) for key in keys])
+
+    def _keys(self, robot: str) -> list[int]:
+        """All pose keys of a placed robot."""
+        track = self.timeline.tracks.get(robot)
+        if track is None:
+            raise BadInput(f"no robot is called {robot}; there are {', '.join(self.robots)}")
+        if not self.timeline.is_placed(robot):
+            raise UnderDetermined(
+                f"{robot} has no place yet: no relative pose fix ties it to {self.robots[0]} "
+                f"({self.timeline.held_back} factors wait)"
+            )
+        return track.keys
+
+    def _stamps(self, keys: Sequence[int]) -> np.ndarray:
+        return np.array([self.timeline.stamps[key] for key in keys])

@@ -1,0 +1,109 @@
+"""iSAM2: what the explorer drives with. The cost of an update depends on what changes, not on the run."""
+
+import re
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from coopslam.errors import UnderDetermined
+from coopslam.estimation.estimate import Estimate, Trajectory
+from coopslam.estimation.keys import describe
+from coopslam.estimation.timeline import Timeline
+from coopslam.records import Record
+from coopslam.se2 import Pose2
+
+
+@dataclass(frozen=True, slots=True)
+class IncrementalSettings:
+    """When iSAM2 relinearizes and how far it carries a change."""
+
+    relinearize_threshold: float = 1e-3  # m or rad: 1 mrad over 10 m is second order in 5 micrometres
+    wildfire_threshold: float = 1e-6  # m or rad: smaller changes are not carried on
+    rounds: int = 3  # at most so many extra steps in an update that moved variables beyond the threshold
+
+
+class Incremental:
+    """Causal smoothing: each factor is given to iSAM2 once."""
+
+    def __init__(self, robots: Iterable[str], settings: IncrementalSettings = IncrementalSettings()):
+        self.timeline = Timeline(robots)
+        self.settings = settings
+        self.graph = gtsam.NonlinearFactorGraph()  # everything so far, for a batch solve
+        self.timing = 0.0  # s spent in updates
+        self.causal: dict[int, Pose2] = {}  # pose key -> as known right after the update that made it
+        self._isam = gtsam.ISAM2(_parameters(settings))
+        self._estimate = IncrementalEstimate(self)
+
+    def update(self, records: Iterable[Record]) -> Estimate:
+        """Smooth with a further group of records. Raises UnderDetermined when a variable is not tied down."""
+        began = time.perf_counter()
+        growth = self.timeline.extend(records, self._isam.calculateEstimatePose2)
+        self.graph.push_back(growth.graph)
+        self._smooth(growth.graph, growth.values)
+        self._estimate.forget()
+        for key in growth.poses:
+            self.causal[key] = self._isam.calculateEstimatePose2(key)
+        self.timing += time.perf_counter() - began
+        return self._estimate
+
+    def values(self) -> gtsam.Values:
+        """All variables as known now."""
+        return self._isam.calculateBestEstimate()
+
+    def _smooth(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+        if graph.size() == 0:
+            return
+        try:
+            self._isam.update(graph, values)
+            for _ in range(self.settings.rounds):
+                if self._isam.update().getVariablesRelinearized() == 0:
+                    break
+        except RuntimeError as error:
+            raise _in_words(error, self.timeline.robots) from error
+
+
+class IncrementalEstimate(Estimate):
+    """A view of iSAM2; asks it only for what is asked."""
+
+    def __init__(self, owner: Incremental):
+        super().__init__(owner.timeline)
+        self._owner = owner
+        self._covariance_of: dict[int, np.ndarray] = {}
+
+    def forget(self) -> None:
+        """Drop what was computed before an update."""
+        self._covariance_of = {}
+
+    def value(self, key: int) -> Pose2:
+        return self._owner._isam.calculateEstimatePose2(key)
+
+    def covariance(self, key: int) -> np.ndarray:
+        if key not in self._covariance_of:
+            self._covariance_of[key] = self._owner._isam.marginalCovariance(key)
+        return self._covariance_of[key]
+
+    def joint_covariance(self, keys: Sequence[int]) -> np.ndarray:
+        return self._owner._isam.jointMarginalCovariance(list(keys)).fullMatrix()
+
+    def causal_trajectory(self, robot: str) -> Trajectory:
+        keys = self._keys(robot)
+        return Trajectory(self._stamps(keys), [self._owner.causal[key] for key in keys])
+
+
+def _parameters(settings: IncrementalSettings) -> gtsam.ISAM2Params:
+    parameters = gtsam.ISAM2Params()
+    parameters.relinearizeSkip = 1
+    parameters.setRelinearizeThreshold(settings.relinearize_threshold)
+    parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(settings.wildfire_threshold))
+    return parameters
+
+
+def _in_words(error: RuntimeError, robots) -> Exception:
+    """GTSAM's complaint about a variable that nothing ties down, with its name; other errors as they are."""
+    found = re.search(r"variable\s+(\d+)", str(error))
+    if "ndetermin" not in str(error) or not found:
+        return error
+    return UnderDetermined(f"the records do not tie down {describe(int(found[1]), robots)}")

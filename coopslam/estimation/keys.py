@@ -1,0 +1,31 @@
+"""Keys of the variables: poses `(robot, index)` and map vertices, and their names in words."""
+
+import gtsam
+
+_INDEX_BITS = 32  # a key is a letter and 56 bits: 24 for the robot, 32 for the index of its pose
+
+
+def pose_key(robot_index: int, index: int) -> int:
+    """Key of a robot's pose number `index`."""
+    return gtsam.symbol("x", robot_index << _INDEX_BITS | index)
+
+
+def vertex_key(vertex: int) -> int:
+    """Key of a map vertex (an oriented corner, a `Pose2`)."""
+    return gtsam.symbol("v", vertex)
+
+
+def is_vertex(key: int) -> bool:
+    """Whether the key is a map vertex."""
+    return gtsam.symbolChr(key) == ord("v")
+
+
+def describe(key: int, robots) -> str:
+    """The key in words: "robot1 pose 17", "vertex 5"."""
+    letter, index = gtsam.symbolChr(key), gtsam.symbolIndex(key)
+    if letter == ord("v"):
+        return f"vertex {index}"
+    robot_index = index >> _INDEX_BITS
+    if letter != ord("x") or robot_index >= len(robots):
+        return f"unknown variable {key}"
+    return f"{robots[robot_index]} pose {index & ((1 << _INDEX_BITS) - 1)}"

@@ -1,0 +1,1 @@
+"""Moves, free map and explorer: how an unknown world is triangulated."""

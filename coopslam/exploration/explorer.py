@@ -1,0 +1,444 @@
+"""The explorer: a pure decision from (free map, estimate, last step) to the next move, or the end and why.
+
+Its `actions` are a dialogue: it yields a move and is sent the step that the move returned, or yields what it
+decided and is sent nothing. Which robot goes where follows section 4 of the design: the apex rule, walls,
+roles, doorways. It never holds the world.
+"""
+
+from collections.abc import Generator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from coopslam.errors import CoopSlamError
+from coopslam.estimation.estimate import Estimate
+from coopslam.exploration.free_map import Boundary, FreeMap
+from coopslam.exploration.moves import (
+    DriveAway,
+    FollowWall,
+    GoToCorner,
+    Move,
+    MoveEnd,
+    ReturnAlongContact,
+    Side,
+    Step,
+)
+from coopslam.exploration.recognition import (
+    RecognitionSettings,
+    bearing,
+    corner_distance_sq,
+    fitting_sector,
+    interior_angle_agrees,
+)
+from coopslam.exploration.travel import route_to_gate
+from coopslam.records import CornerDecision, CornerSighting, Decision, TriangleDecision, WallDecision
+from coopslam.se2 import position, wrap
+
+
+class Stuck(CoopSlamError):
+    """Exploration cannot go on; the message says where and why."""
+
+    exit_code = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Decided:
+    """What the explorer decided after a step: records for the log and the estimator."""
+
+    records: tuple[Decision, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ExplorerSettings:
+    """How sure the explorer wants to be."""
+
+    angle_sigmas: float = 5.0  # an angle this close to a straight line counts as undecided
+    same_place_sigmas: float = 3.0
+    attempts: int = 3  # to find a known corner
+    recognition: RecognitionSettings = field(default_factory=RecognitionSettings)
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """One way to find the apex behind a gate: the robot at `corner` moves, the one at `pivot` watches.
+
+    boundary: what the mover follows from its corner; None: the doorway, straight on and away from the watcher.
+    """
+
+    gate: tuple[int, int]
+    mover: str
+    watcher: str
+    corner: int
+    pivot: int
+    boundary: Boundary | None
+
+    @property
+    def wall_on(self) -> Side:
+        """Behind gate (a, b) the robot at b has the wall on its right, the one at a on its left."""
+        return Side.RIGHT if self.corner == self.gate[1] else Side.LEFT
+
+    @property
+    def turn(self) -> int:
+        """+1: the line of contact turns counter-clockwise about the pivot."""
+        return 1 if self.wall_on == Side.RIGHT else -1
+
+
+Actions = Generator[Move | Decided, Step | None, str]
+
+
+class Explorer:
+    """Decides for a team of two. `free_map` and `at` (robot -> vertex) are its memory; `estimate` is kept current."""
+
+    def __init__(self, robots: tuple[str, str], settings: ExplorerSettings | None = None):
+        self.robots = robots
+        self.settings = settings or ExplorerSettings()
+        self.free_map = FreeMap()
+        self.at: dict[str, int] = {}
+        self.estimate: Estimate | None = None
+        self._last_mover = robots[1]
+        self._vertex_cache: dict = {}
+
+    def look_at(self, estimate: Estimate) -> None:
+        """Steer by this estimate from now on."""
+        self.estimate = estimate
+        self._vertex_cache.clear()
+
+    def actions(self, first: Step) -> Actions:
+        """Explore until no gate is open; returns why that is the end. Raises Stuck when it cannot go on."""
+        yield from self._walk_first_wall(first)
+        while self.free_map.gates:
+            gate = yield from self._travel_to_gate()
+            yield from self._explore_gate(gate)
+        return self._account()
+
+    # the first wall
+
+    def _walk_first_wall(self, first: Step):
+        watcher, mover = self.robots
+        self.at[watcher] = yield from self._new_vertex(first.corner)
+        step = yield FollowWall(mover, watcher, Side.RIGHT)
+        if step.ended != MoveEnd.CORNER:
+            raise Stuck(f"the first wall ended with {step.ended}, not in a corner")
+        self.at[mover] = yield from self._new_vertex(step.corner)
+        start, end = self.at[watcher], self.at[mover]
+        self.free_map.add_first_wall(start, end)
+        yield Decided((WallDecision(step.stamp_s, start, end),))
+
+    # travel
+
+    def _travel_to_gate(self):
+        one, other = self.robots
+        route = route_to_gate(self.free_map, (self.at[one], self.at[other]), self._position)
+        if route is None:
+            raise Stuck(f"no way over the mapped triangles from vertices {self.at} to an open gate")
+        crossings, gate = route
+        for crossing in crossings:
+            stander = self._last_mover if self.at[one] == self.at[other] else None
+            mover = next(r for r in self.robots if self.at[r] == crossing.start and r != stander)
+            yield from self._cross(mover, crossing.end)
+        return gate
+
+    def _cross(self, mover: str, target: int):
+        """Bring a robot along a known edge to the vertex at its other end."""
+        start, watcher = self.at[mover], self._partner(mover)
+        if self.free_map.wall_leaving(start) == target:
+            move = FollowWall(mover, watcher, Side.RIGHT)
+        elif self.free_map.wall_arriving(start) == target:
+            move = FollowWall(mover, watcher, Side.LEFT)
+        else:
+            yield from self._go_to(mover, target)
+            return
+        self._last_mover = mover
+        step = yield move
+        if step.ended not in (MoveEnd.CORNER, MoveEnd.PARTNER):
+            raise Stuck(f"{mover} followed the wall from vertex {start} to {target} and ended with {step.ended}")
+        yield from self._know_again(step.corner, target)
+
+    def _go_to(self, mover: str, target: int):
+        """Drive to a known vertex in the open and make sure that it is the one."""
+        for _ in range(self.settings.attempts):
+            step = yield self._go_to_corner(mover, target)
+            if step.ended in (MoveEnd.CORNER, MoveEnd.PARTNER) and self._may_be(step.corner, target):
+                yield from self._know_again(step.corner, target)
+                return
+        raise Stuck(f"{mover} did not find vertex {target} where the map says: {step.ended}")
+
+    def _go_to_corner(self, mover: str, target: int, watch_for_rad: float | None = None) -> GoToCorner:
+        self._last_mover = mover
+        there = self.estimate.pose(mover).between(self._vertex(target))
+        where = (there.x(), there.y(), there.theta())
+        return GoToCorner(mover, self._partner(mover), where, self.free_map.interior_angles[target], watch_for_rad)
+
+    # one gate
+
+    def _explore_gate(self, gate: tuple[int, int]):
+        """Find the apex behind a gate, or that it is a wall; the team stands on it."""
+        for sweep in self._sweeps(gate):
+            self._last_mover = sweep.mover
+            found = yield from self._sweep(sweep)
+            if found:
+                return
+        raise Stuck(f"no way to sweep behind the gate between vertices {gate[0]} and {gate[1]}")
+
+    def _sweeps(self, gate: tuple[int, int]) -> list[Sweep]:
+        """Ways to sweep behind a gate, the surest first: along a wall or known gate, else through the doorway."""
+        sure, unsure, doorway = [], [], []
+        a, b = gate
+        for corner, pivot in ((b, a), (a, b)):
+            boundary = self.free_map.boundary_at_end(gate) if corner == b else self.free_map.boundary_at_start(gate)
+            opening, margin = self._opening(corner, pivot, boundary, clockwise=corner == b)
+            mover = next(robot for robot in self.robots if self.at[robot] == corner)
+            sweep = Sweep(gate, mover, self._partner(mover), corner, pivot, boundary)
+            if opening < np.pi - margin:
+                sure.append((opening < margin and self._other_gate_at(corner, gate), sweep))
+            elif opening < np.pi + margin:
+                unsure.append((False, sweep))
+            doorway.append((False, Sweep(gate, mover, self._partner(mover), corner, pivot, None)))
+
+        def preference(option):
+            ends_apart, sweep = option
+            return ends_apart, sweep.mover != self._last_mover
+
+        return [sweep for group in (sure, unsure, doorway) for _, sweep in sorted(group, key=preference)]
+
+    def _other_gate_at(self, vertex: int, gate: tuple[int, int]) -> bool:
+        return any(vertex in other for other in self.free_map.gates if other != gate)
+
+    def _opening(self, corner: int, pivot: int, boundary: Boundary, clockwise: bool) -> tuple[float, float]:
+        """Unexplored angle at a gate's end between the gate and its next boundary, and how sure that is, rad.
+
+        An angle within the margin of a full turn is one of zero: the gate runs along the wall.
+        """
+        toward_pivot = bearing(self._vertex(corner), self._vertex(pivot))
+        if not boundary.is_wall:
+            edge = bearing(self._vertex(corner), self._vertex(boundary.other))
+        else:
+            edge = 0.0 if clockwise else self.free_map.interior_angles[corner]
+        opening = ((toward_pivot - edge) if clockwise else (edge - toward_pivot)) % (2 * np.pi)
+        margin = self.settings.angle_sigmas * self._bearing_sigma(corner, pivot)
+        if opening > 2 * np.pi - max(margin, 1e-6):
+            opening = 0.0
+        return opening, max(margin, 1e-6)
+
+    def _sweep(self, sweep: Sweep):
+        """Turn the line of contact about the pivot until it meets the apex. False: it cannot be turned this way."""
+        target = None if sweep.boundary is None or sweep.boundary.is_wall else sweep.boundary.other
+        if sweep.boundary is None:
+            gate_ahead, limit = self._gate_ahead(sweep)
+            step = yield DriveAway(sweep.mover, sweep.watcher, limit)
+            if step.ended == MoveEnd.CORNER:
+                return (yield from self._meet_corner(sweep, step.corner))
+            if step.ended == MoveEnd.DISTANCE:
+                target = gate_ahead[0] if self._ahead_angle(sweep, gate_ahead[0]) > 0 else gate_ahead[1]
+        passed = {target}
+        attempts = self.settings.attempts
+        while True:
+            watched, watch_for = self._next_known(sweep, passed)
+            if target is None:
+                step = yield FollowWall(sweep.mover, sweep.watcher, sweep.wall_on, watch_for)
+            else:
+                step = yield self._go_to_corner(sweep.mover, target, watch_for)
+            match step.ended:
+                case MoveEnd.CORNER:
+                    walked = sweep.boundary is not None and target is None
+                    return (yield from self._meet_corner(sweep, step.corner, walked))
+                case MoveEnd.PARTNER if sweep.boundary is not None:
+                    yield from self._close_as_wall(sweep, step)
+                    return True
+                case MoveEnd.CONTACT:
+                    return (yield from self._return_to_occluder(sweep))
+                case MoveEnd.BEARING:
+                    passed.add(watched)
+                    if self._stands_between(sweep, watched):
+                        target, attempts = watched, self.settings.attempts
+                case MoveEnd.NOTHING if attempts > 1:
+                    attempts -= 1
+                case _:
+                    raise Stuck(f"{sweep.mover} swept behind gate {sweep.gate} and ended with {step.ended}")
+
+    def _return_to_occluder(self, sweep: Sweep):
+        """Contact is about to break: the corner that breaks it lies on the line of contact, and is the apex."""
+        while True:
+            step = yield ReturnAlongContact(sweep.mover, sweep.watcher)
+            if step.ended == MoveEnd.PARTNER:  # nothing in between: the wall led away after all
+                self.at[sweep.mover] = sweep.pivot
+                yield from self._cross(sweep.mover, sweep.corner)
+                return False
+            if not self._may_be(step.corner, sweep.corner):
+                return (yield from self._meet_corner(sweep, step.corner))
+            yield from self._know_again(step.corner, sweep.corner)
+
+    def _meet_corner(self, sweep: Sweep, sighting: CornerSighting, walked_wall: bool = False):
+        """The mover stands in the apex: decide which vertex that is and add the triangle."""
+        wall_at_end = walked_wall and sweep.turn > 0
+        wall_at_start = walked_wall and sweep.turn < 0
+        apex, sector = yield from self._recognise(sweep, sighting, wall_at_end, wall_at_start)
+        self.at[sweep.mover] = apex
+        a, b = sweep.gate
+        triangle = self.free_map.add_triangle(sweep.gate, apex, wall_at_end, wall_at_start, sector)
+        decided = []
+        if walked_wall:
+            start, end = (b, apex) if wall_at_end else (apex, a)
+            decided.append(WallDecision(sighting.stamp_s, start, end))
+        yield Decided((*decided, TriangleDecision(sighting.stamp_s, triangle, (a, b, apex))))
+        return True
+
+    def _close_as_wall(self, sweep: Sweep, step: Step):
+        """The mover walked the wall to its partner: the gate is that wall."""
+        yield from self._know_again(step.corner, sweep.pivot)
+        start, end = self.free_map.close_as_wall(sweep.gate)
+        self.at[sweep.mover] = sweep.pivot
+        yield Decided((WallDecision(step.stamp_s, start, end),))
+
+    # which corner is this
+
+    def _recognise(self, sweep: Sweep, sighting: CornerSighting, wall_at_end: bool, wall_at_start: bool):
+        """(vertex, sector): a known vertex and the sector that the triangle fills there, or a new one and None."""
+        limits = self.settings.recognition
+        ranked = []
+        for vertex in self._candidates(sweep, sighting):
+            if not interior_angle_agrees(sighting, self.free_map.interior_angles[vertex], limits.angle_sigmas):
+                continue
+            sector, miss = fitting_sector(
+                self.free_map, self.estimate, vertex, sweep.gate, wall_at_end, wall_at_start
+            )
+            if sector is not None and miss <= limits.sector_slack_rad:
+                ranked.append((corner_distance_sq(self.estimate, sighting, vertex), vertex, sector))
+        ranked.sort(key=lambda entry: entry[0])
+        if not ranked or ranked[0][0] > limits.distance_sq_max:
+            nearest = ranked[0][0] if ranked else None
+            return (yield from self._new_vertex(sighting, nearest)), None
+        runner_up = ranked[1][0] if len(ranked) > 1 else None
+        distance_sq, vertex, sector = ranked[0]
+        yield Decided((CornerDecision(sighting.stamp_s, sighting, vertex, False, distance_sq, runner_up, "end of an open gate"),))
+        return vertex, sector.index
+
+    def _candidates(self, sweep: Sweep, sighting: CornerSighting) -> list[int]:
+        """Ends of open gates near a sighting: a known corner with unexplored space next to it ends an open gate."""
+        limits = self.settings.recognition
+        belief = self.estimate.belief(sighting.observer)
+        here = position(belief.T_world_body * sighting.T_observer_corner)
+        reach = max(limits.search_radius_m, limits.search_sigmas * belief.position_sigma_m)
+        ends = {vertex for gate in self.free_map.gates for vertex in gate} - set(sweep.gate)
+        return [vertex for vertex in sorted(ends) if np.hypot(*(self._position(vertex) - here)) <= reach]
+
+    def _new_vertex(self, sighting: CornerSighting, nearest_sq: float | None = None):
+        vertex = len(self.free_map.fans)
+        self.free_map.add_vertex(vertex, sighting.interior_angle_rad)
+        yield Decided((CornerDecision(sighting.stamp_s, sighting, vertex, True, None, nearest_sq),))
+        return vertex
+
+    def _know_again(self, sighting: CornerSighting, vertex: int):
+        """The robot came back to a vertex: one more factor."""
+        distance_sq = corner_distance_sq(self.estimate, sighting, vertex)
+        if distance_sq > self.settings.recognition.distance_sq_max:
+            raise Stuck(f"{sighting.observer} expected vertex {vertex} and found another corner (d^2 = {distance_sq:.0f})")
+        self.at[sighting.observer] = vertex
+        yield Decided((CornerDecision(sighting.stamp_s, sighting, vertex, False, distance_sq, None, "expected"),))
+
+    def _may_be(self, sighting: CornerSighting, vertex: int) -> bool:
+        """Whether a sighting fits a vertex in place, direction and interior angle."""
+        limits = self.settings.recognition
+        if not interior_angle_agrees(sighting, self.free_map.interior_angles[vertex], limits.angle_sigmas):
+            return False
+        return corner_distance_sq(self.estimate, sighting, vertex) <= limits.distance_sq_max
+
+    # known gates, by the estimate
+
+    def _next_known(self, sweep: Sweep, passed: set) -> tuple[int | None, float | None]:
+        """The next end of an open gate that the line of contact will meet, and its bearing in the watcher's frame."""
+        best, best_angle = None, np.pi
+        for vertex in {v for gate in self.free_map.gates for v in gate} - passed - set(sweep.gate):
+            angle = self._ahead_angle(sweep, vertex)
+            if -1e-7 < angle < best_angle and (angle > 1e-7 or self._gate_goes_ahead(sweep, vertex)):
+                best, best_angle = vertex, angle
+        if best is None:
+            return None, None
+        there = self.estimate.pose(sweep.watcher).transformTo(self._position(best))
+        return best, float(np.arctan2(there[1], there[0]))
+
+    def _gate_goes_ahead(self, sweep: Sweep, vertex: int) -> bool:
+        """Whether an open gate at a vertex on the line of contact leads to where the line will turn."""
+        others = [(set(gate) - {vertex}).pop() for gate in self.free_map.gates if vertex in gate]
+        return any(1e-7 < self._ahead_angle(sweep, other) < np.pi for other in others)
+
+    def _ahead_angle(self, sweep: Sweep, vertex: int) -> float:
+        """Angle at the pivot from the mover to a vertex, in the sense of the sweep, (-pi, pi]."""
+        pivot = self._position(sweep.pivot)
+        to_mover = position(self.estimate.pose(sweep.mover)) - pivot
+        to_vertex = self._position(vertex) - pivot
+        return sweep.turn * float(wrap(np.arctan2(*to_vertex[::-1]) - np.arctan2(*to_mover[::-1])))
+
+    def _stands_between(self, sweep: Sweep, vertex: int) -> bool:
+        """Whether a vertex on the line of contact is nearer to the pivot than the mover, and not the mover's place."""
+        pivot = self._position(sweep.pivot)
+        mover = self.estimate.belief(sweep.mover)
+        gap = np.hypot(*(position(mover.T_world_body) - pivot)) - np.hypot(*(self._position(vertex) - pivot))
+        joint = self.estimate.joint_covariance([self.estimate.pose_key(sweep.mover), self.estimate.vertex_key(vertex)])
+        sigma = np.sqrt(joint[:2, :2].trace() + joint[3:5, 3:5].trace())
+        return gap > self.settings.same_place_sigmas * sigma + 1e-6
+
+    def _gate_ahead(self, sweep: Sweep) -> tuple[tuple[int, int] | None, float | None]:
+        """The first open gate across the line of contact prolonged beyond the mover, and how far away, m."""
+        here = self._position(sweep.corner)
+        way = here - self._position(sweep.pivot)
+        way = way / np.hypot(*way)
+        best, best_m = None, None
+        for gate in self.free_map.gates:
+            if set(gate) & set(sweep.gate):
+                continue
+            u, v = (self._position(vertex) - here for vertex in gate)
+            side_u, side_v = way[0] * u[1] - way[1] * u[0], way[0] * v[1] - way[1] * v[0]
+            if side_u * side_v >= 0:
+                continue
+            metres = float(way @ (u + (v - u) * side_u / (side_u - side_v)))
+            if metres > 0 and (best_m is None or metres < best_m):
+                best, best_m = gate, metres
+        return best, best_m
+
+    # the end
+
+    def _account(self) -> str:
+        """Check that the finished map is a triangulation of one polygon with holes; says its numbers."""
+        rings = self._rings()
+        n, holes, triangles = len(self.free_map.fans), len(rings) - 1, len(self.free_map.triangles)
+        if triangles != n + 2 * holes - 2:
+            raise Stuck(f"{triangles} triangles do not fit {n} vertices and {holes} holes")
+        return f"no gate is open; {triangles} triangles = {n} vertices + 2 x {holes} holes - 2"
+
+    def _rings(self) -> list[list[int]]:
+        """Closed walks along the walls. Raises Stuck when a vertex is not surrounded by triangles and walls."""
+        open_ends = [vertex for vertex, fan in self.free_map.fans.items() if not fan.complete]
+        if open_ends:
+            raise Stuck(f"no gate is open, but vertices {open_ends[:5]} still have unexplored space or unknown walls")
+        rings, left = [], set(self.free_map.fans)
+        while left:
+            ring = [left.pop()]
+            while (after := self.free_map.wall_leaving(ring[-1])) != ring[0]:
+                ring.append(after)
+                left.remove(after)
+            rings.append(ring)
+        return rings
+
+    # small things
+
+    def _partner(self, robot: str) -> str:
+        return self.robots[1] if robot == self.robots[0] else self.robots[0]
+
+    def _vertex(self, vertex: int):
+        if vertex not in self._vertex_cache:
+            self._vertex_cache[vertex] = self.estimate.vertex(vertex)
+        return self._vertex_cache[vertex]
+
+    def _position(self, vertex: int) -> np.ndarray:
+        return position(self._vertex(vertex))
+
+    def _bearing_sigma(self, corner: int, other: int) -> float:
+        """Sigma of the direction of one vertex in another's frame, rad."""
+        there = self._vertex(corner).transformTo(self._position(other))
+        range_sq = float(there @ there)
+        across = np.array([-there[1], there[0]]) / range_sq
+        turn = self._vertex(corner).between(self._vertex(other)).rotation().matrix()
+        jacobian = np.concatenate([-across, [-1.0], across @ turn, [0.0]])
+        joint = self.estimate.joint_covariance([self.estimate.vertex_key(corner), self.estimate.vertex_key(other)])
+        return float(np.sqrt(max(jacobian @ joint @ jacobian, 0.0)))

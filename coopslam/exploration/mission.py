@@ -1,0 +1,132 @@
+"""The one loop: the explorer decides, the team acts, the log keeps, the estimator smooths."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from coopslam.estimation.estimate import Estimate
+from coopslam.exploration.explorer import Decided, Explorer, Stuck
+from coopslam.exploration.free_map import MapConflict
+from coopslam.exploration.moves import Move, Step
+from coopslam.records import MoveNote, Record
+
+
+class Acting(Protocol):
+    """A team of robots, real or simulated."""
+
+    def begin(self) -> Step: ...
+
+    def execute(self, move: Move) -> Step: ...
+
+
+class Estimating(Protocol):
+    """An estimator that can drive."""
+
+    def update(self, records) -> Estimate: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """When to stop although gates are open."""
+
+    moves: int = 100_000
+    travel_m: float = 1e7
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far the mission is, after a step."""
+
+    stamp_s: float
+    triangles: int
+    vertices: int
+    open_gates: int
+    role_exchanges: int
+    travel_m: float
+    position_sigma_m: dict[str, float]  # by robot
+
+
+@dataclass(slots=True)
+class Mission:
+    """What happened: outcome ("complete", "budget" or "stuck"), why, and the story so far."""
+
+    explorer: Explorer
+    outcome: str = "stuck"
+    reason: str = "not begun"
+    moves: int = 0
+    role_exchanges: int = 0
+    travel_m: dict[str, float] = field(default_factory=dict)
+    history: list[Progress] = field(default_factory=list)
+    estimate: Estimate | None = None
+
+
+def run_mission(
+    team: Acting,
+    estimator: Estimating,
+    explorer: Explorer,
+    log: Callable[[Record], None],
+    budget: Budget | None = None,
+    watch: Callable[[Progress], None] | None = None,
+) -> Mission:
+    """Explore until complete, stuck or out of budget. Every record goes to `log` before it is used."""
+    budget = budget or Budget()
+    mission = Mission(explorer, travel_m=dict.fromkeys(explorer.robots, 0.0))
+    last_mover = None
+
+    def use(records) -> None:
+        for record in records:
+            log(record)
+        mission.estimate = estimator.update(records)
+        explorer.look_at(mission.estimate)
+
+    step = team.begin()
+    use(step.records)
+    actions = explorer.actions(step)
+    reply = None
+    try:
+        while True:
+            action = actions.send(reply)
+            if isinstance(action, Decided):
+                use(action.records)
+                reply = None
+                continue
+            if mission.moves >= budget.moves or sum(mission.travel_m.values()) >= budget.travel_m:
+                mission.outcome, mission.reason = "budget", _spent(mission, budget)
+                return mission
+            reply = step = team.execute(action)
+            mission.moves += 1
+            mission.role_exchanges += last_mover not in (None, action.robot)
+            last_mover = action.robot
+            mission.travel_m[action.robot] += step.travelled_m
+            use((*step.records, MoveNote(step.stamp_s, action.robot, action.watcher, repr(action), step.ended.value)))
+            mission.history.append(_progress(mission, step))
+            if watch:
+                watch(mission.history[-1])
+    except StopIteration as end:
+        mission.outcome, mission.reason = "complete", end.value
+    except (Stuck, MapConflict) as error:
+        mission.outcome, mission.reason = "stuck", str(error)
+    return mission
+
+
+def _progress(mission: Mission, step: Step) -> Progress:
+    free_map = mission.explorer.free_map
+    return Progress(
+        step.stamp_s,
+        len(free_map.triangles),
+        len(free_map.fans),
+        len(free_map.gates),
+        mission.role_exchanges,
+        sum(mission.travel_m.values()),
+        {robot: mission.estimate.belief(robot).position_sigma_m for robot in mission.explorer.robots},
+    )
+
+
+def _spent(mission: Mission, budget: Budget) -> str:
+    gates = len(mission.explorer.free_map.gates)
+    return (
+        f"{mission.moves} moves and {sum(mission.travel_m.values()):.1f} m are spent "
+        f"(allowed: {budget.moves} and {budget.travel_m:g} m); {gates} gates are still open"
+    )
+
+

@@ -1,0 +1,90 @@
+"""What a robot can be told to do, in its own terms, and what comes back. Never world coordinates, never truth."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from coopslam.records import Record
+
+
+class Side(StrEnum):
+    """The hand on which a followed wall lies."""
+
+    LEFT = "left"  # the wall is on the robot's left, free space on its right
+    RIGHT = "right"  # the wall is on the robot's right, free space on its left
+
+
+class MoveEnd(StrEnum):
+    """Why a move ended."""
+
+    CORNER = "corner"  # the robot stands in a corner
+    PARTNER = "partner"  # the robot reached its partner, which stands in a corner
+    CONTACT = "contact"  # one step more would break the line of visual contact
+    BEARING = "bearing"  # the watcher sees the robot at the bearing it was asked to watch for
+    WALL = "wall"  # a wall, between its corners, stopped the robot
+    DISTANCE = "distance"  # the distance that was asked for is driven
+    NOTHING = "nothing"  # the robot arrived and found no corner within the reach of its finder
+
+
+@dataclass(frozen=True, slots=True)
+class FollowWall:
+    """Follow the wall until its corner; stop before contact breaks, or at a bearing seen by the watcher."""
+
+    robot: str
+    watcher: str
+    wall_on: Side
+    watch_for_rad: float | None = None  # bearing of the robot in the watcher's frame
+
+
+@dataclass(frozen=True, slots=True)
+class ReturnAlongContact:
+    """Drive along the line of contact towards the watcher until the finder meets a corner, or the watcher."""
+
+    robot: str
+    watcher: str
+
+
+@dataclass(frozen=True, slots=True)
+class DriveAway:
+    """Drive straight on, away from the watcher, until a wall or a corner stops the robot, or `limit_m` is driven."""
+
+    robot: str
+    watcher: str
+    limit_m: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class GoToCorner:
+    """Drive straight to where a known corner should be and home on the one found there that fits best."""
+
+    robot: str
+    watcher: str
+    corner_body: tuple[float, float, float]  # x, y, heading of the oriented corner in the robot's frame
+    interior_angle_rad: float
+    watch_for_rad: float | None = None
+
+
+Move = FollowWall | ReturnAlongContact | DriveAway | GoToCorner
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """What executing a move returned: everything sensed on the way, in order, and why the move ended."""
+
+    stamp_s: float
+    records: tuple[Record, ...]
+    ended: MoveEnd
+    travelled_m: float = 0.0
+
+    @property
+    def corner(self):
+        """The last corner sighting of the step, or None."""
+        from coopslam.records import CornerSighting
+
+        return next((r for r in reversed(self.records) if isinstance(r, CornerSighting)), None)
+
+
+def direction(vector: np.ndarray) -> float:
+    """Angle of a (2,) vector, rad."""
+    return float(np.arctan2(vector[1], vector[0]))

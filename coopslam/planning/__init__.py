@@ -1,0 +1,1 @@
+"""The dual graph of the map, paths over it, and place recognition."""

@@ -1,0 +1,1 @@
+"""Figures, animation and HTML report."""

@@ -1,0 +1,115 @@
+"""SE(2) poses and their covariances; the only place where covariances change axes.
+
+Poses are `gtsam.Pose2`. A pose error is a right perturbation, `T_estimated = T_true * Pose2(error)`, so a
+covariance lives in the axes of the pose itself (order x, y, theta; metres and radians) unless its name
+says otherwise. Composition to first order is the compounding of Smith, Self and Cheeseman (1990).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from gtsam import Pose2
+
+__all__ = ["Pose2", "PoseBelief", "adjoint", "chain_covariance", "is_covariance", "position", "rotation", "wrap", "xytheta"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseBelief:
+    """A pose and how well it is known."""
+
+    T_world_body: Pose2
+    cov_body: np.ndarray  # (3, 3); axes of the body; m, m, rad
+
+    @property
+    def position_covariance(self) -> np.ndarray:
+        """(2, 2) covariance of the position in the axes of the world, m^2."""
+        return position_covariance_in_parent(self.T_world_body, self.cov_body)
+
+    @property
+    def position_sigma_m(self) -> float:
+        """Standard deviation along the worst direction."""
+        return largest_sigma(self.position_covariance)
+
+
+def wrap(angle_rad):
+    """The same angle in (-pi, pi]; scalars and arrays."""
+    return -((np.pi - np.asarray(angle_rad)) % (2 * np.pi) - np.pi)
+
+
+def xytheta(pose: Pose2) -> np.ndarray:
+    """(3,) x, y, theta."""
+    return np.array([pose.x(), pose.y(), pose.theta()])
+
+
+def position(pose: Pose2) -> np.ndarray:
+    """(2,) x, y in the parent frame."""
+    return np.array([pose.x(), pose.y()])
+
+
+def rotation(angle_rad: float) -> np.ndarray:
+    """(2, 2) matrix that turns vectors counter-clockwise."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s], [s, c]])
+
+
+def planar_rotation(angle_rad: float) -> np.ndarray:
+    """(3, 3) matrix that turns the x, y part of (x, y, theta) and leaves theta."""
+    matrix = np.eye(3)
+    matrix[:2, :2] = rotation(angle_rad)
+    return matrix
+
+
+def adjoint(pose: Pose2) -> np.ndarray:
+    """(3, 3) Ad_T, with T * Pose2(e) = Pose2(Ad_T e) * T to first order in e."""
+    matrix = planar_rotation(pose.theta())
+    matrix[0, 2], matrix[1, 2] = pose.y(), -pose.x()
+    return matrix
+
+
+def position_covariance_in_parent(pose: Pose2, cov_body: np.ndarray) -> np.ndarray:
+    """(2, 2) position covariance in the axes of the frame in which `pose` is given."""
+    turn = rotation(pose.theta())
+    return turn @ cov_body[:2, :2] @ turn.T
+
+
+def observer_to_target_axes(T_observer_target: Pose2, cov_observer: np.ndarray) -> np.ndarray:
+    """A relative pose's (3, 3) covariance from the observer's axes to the target's own axes.
+
+    `BetweenFactorPose2` wants the latter: its error is a right perturbation of the second pose.
+    """
+    turn = planar_rotation(-T_observer_target.theta())
+    return turn @ cov_observer @ turn.T
+
+
+def chain_covariance(delta: Pose2, cov_start: np.ndarray, cov_delta: np.ndarray) -> np.ndarray:
+    """Covariance of `T * delta` in its own axes, from that of T (its axes) and of delta (axes of its end)."""
+    carry = adjoint(delta.inverse())
+    return carry @ cov_start @ carry.T + cov_delta
+
+
+def compose_leg(deltas, covariances) -> tuple[Pose2, np.ndarray]:
+    """A chain of increments as one: its pose and its (3, 3) covariance, in the axes of its last pose.
+
+    deltas: poses T_k_k+1.  covariances: (3, 3) each, in the axes of its own second pose.
+    """
+    total, cov = Pose2(), np.zeros((3, 3))
+    for delta, cov_delta in zip(deltas, covariances, strict=True):
+        cov = chain_covariance(delta, cov, cov_delta)
+        total = total * delta
+    return total, cov
+
+
+def largest_sigma(cov: np.ndarray) -> float:
+    """Square root of the largest eigenvalue of a covariance."""
+    return float(np.sqrt(max(np.linalg.eigvalsh(cov)[-1], 0.0)))
+
+
+def is_covariance(matrix: np.ndarray, size: int) -> bool:
+    """Whether it is a finite, symmetric, positive semi-definite (size, size) matrix."""
+    matrix = np.asarray(matrix, dtype=float)
+    if matrix.shape != (size, size) or not np.isfinite(matrix).all():
+        return False
+    scale = np.abs(matrix).max()
+    if np.abs(matrix - matrix.T).max() > 1e-9 * scale:
+        return False
+    return bool(np.linalg.eigvalsh(matrix)[0] >= -1e-9 * scale)

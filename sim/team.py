@@ -1,0 +1,318 @@
+"""The simulated team: executes the explorer's moves in a true world and returns what the robots sensed.
+
+Event-driven: where a move ends is computed, not stepped to; then the leg is sampled at the sensor rates.
+Truth stays here; `Team.truth` is its own door, for evaluation and figures only.
+"""
+
+from bisect import bisect_right
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from coopslam.errors import BadInput, BadMove
+from coopslam.exploration.moves import DriveAway, FollowWall, GoToCorner, Move, MoveEnd, ReturnAlongContact, Side, Step
+from coopslam.se2 import Pose2, wrap
+from sim.sensors import Sensors
+from sim.sight import TOLERANCE_M, Sight, cross
+from sim.world import World
+
+
+@dataclass(frozen=True, slots=True)
+class TeamSettings:
+    """How the robots start, move and sample."""
+
+    robots: tuple[str, ...] = ("robot0", "robot1")
+    start_ring: int = 0
+    start_corner: int = 0
+    start_step_m: float = 0.3  # of each further robot along the wall; at most half the wall for all of them
+    speed_m_per_s: float = 0.5
+    turn_rate_rad_per_s: float = 1.0
+    odometry_period_s: float = 0.5
+    sighting_period_s: float = 2.0
+    finder_reach_m: float = 0.5
+    tracker_blind_m: float = 0.02  # closer than this the tracker sees nothing
+
+    def __post_init__(self):
+        for name in ("start_step_m", "speed_m_per_s", "turn_rate_rad_per_s", "odometry_period_s", "sighting_period_s"):
+            if not getattr(self, name) > 0:
+                raise BadInput(f"team.{name}: more than zero expected, got {getattr(self, name)}")
+
+
+@dataclass(slots=True)
+class Body:
+    """Where a robot truly is: its pose, and the corner (vertex) or wall (first vertex) that it touches."""
+
+    position: np.ndarray  # (2,) m, world frame
+    heading: float  # rad, world frame
+    corner: int | None = None
+    wall: int | None = None
+
+    @property
+    def pose(self) -> Pose2:
+        return Pose2(*self.position, self.heading)
+
+
+@dataclass(slots=True)
+class TruthTrack:
+    """A robot's true poses at its sampled instants, in the world's frame."""
+
+    stamps_s: list[float] = field(default_factory=list)
+    poses: list[Pose2] = field(default_factory=list)
+
+
+class Truth:
+    """The simulator's own door: the world, the robots' true paths, and which corner each sighting showed."""
+
+    def __init__(self, world: World, robots: tuple[str, ...]):
+        self.world = world
+        self.tracks = {robot: TruthTrack() for robot in robots}
+        self.sighted: dict[tuple[float, str], int] = {}  # (stamp, observer) -> flat index of the corner
+
+    @property
+    def origin(self) -> Pose2:
+        """True start pose of the first robot in the world: the estimated frame."""
+        return next(iter(self.tracks.values())).poses[0]
+
+    def pose_at(self, robot: str, stamp_s: float) -> Pose2:
+        """True pose at a sampled instant, or at the last one before it (the robot stood still since)."""
+        track = self.tracks[robot]
+        return track.poses[max(bisect_right(track.stamps_s, stamp_s + 1e-9) - 1, 0)]
+
+
+class Team:
+    """Robots in a world. `begin` once, then `execute` moves."""
+
+    def __init__(self, world: World, sensors: Sensors, settings: TeamSettings | None = None):
+        self.settings = settings or TeamSettings()
+        self.world, self.sensors, self.sight = world, sensors, Sight(world)
+        self.time_s = 0.0
+        self.truth = Truth(world, self.settings.robots)
+        self._bodies = self._place()
+
+    def begin(self) -> Step:
+        """What the robots sense before the first move: each other, and the first robot its corner."""
+        first, *others = self.settings.robots
+        for robot in self.settings.robots:
+            self._note_truth(robot)
+        records = [self._corner_sighting(first)]
+        for other in others:
+            records += self._mutual_fixes(first, other)
+        return Step(self.time_s, tuple(records), MoveEnd.CORNER)
+
+    def execute(self, move: Move) -> Step:
+        """Execute one move. Raises BadMove when it makes no sense where the robot stands."""
+        match move:
+            case FollowWall():
+                return self._follow_wall(move)
+            case ReturnAlongContact():
+                return self._return_along_contact(move)
+            case DriveAway():
+                return self._drive_away(move)
+            case GoToCorner():
+                return self._go_to_corner(move)
+        raise BadMove(f"unknown move {move!r}")
+
+    # moves
+
+    def _follow_wall(self, move: FollowWall) -> Step:
+        body = self._bodies[move.robot]
+        along = self.world.next_index if move.wall_on == Side.RIGHT else self.world.prev_index
+        if body.corner is not None:
+            end = int(along[body.corner])
+        elif body.wall is not None:
+            end = int(self.world.next_index[body.wall]) if move.wall_on == Side.RIGHT else body.wall
+        else:
+            raise BadMove(f"{move.robot} cannot follow a wall: it stands in the open")
+        if body.corner is not None:
+            wall = body.corner if move.wall_on == Side.RIGHT else end
+        else:
+            wall = body.wall
+        return self._drive_watched(move, self.world.points[end], end, wall)
+
+    def _return_along_contact(self, move: ReturnAlongContact) -> Step:
+        body, watcher = self._bodies[move.robot], self._bodies[move.watcher]
+        corner = self.sight.first_corner_between(body.position, watcher.position)
+        target = watcher.position if corner is None else self.world.points[corner]
+        ended = MoveEnd.PARTNER if corner is None else MoveEnd.CORNER
+        return self._drive(move, target, ended, corner=watcher.corner if corner is None else corner)
+
+    def _drive_away(self, move: DriveAway) -> Step:
+        body, watcher = self._bodies[move.robot], self._bodies[move.watcher]
+        line = body.position - watcher.position
+        length = np.hypot(*line)
+        if length <= TOLERANCE_M:
+            raise BadMove(f"{move.robot} cannot drive away from {move.watcher}: both stand in one place")
+        direction = line / length
+        obstacle = self.sight.first_obstacle(body.position, direction)
+        if obstacle is None:
+            raise BadMove(f"{move.robot} stands outside the world")
+        if move.limit_m is not None and move.limit_m < obstacle.distance_m:
+            return self._drive(move, body.position + move.limit_m * direction, MoveEnd.DISTANCE)
+        if obstacle.corner is not None:
+            return self._drive(move, self.world.points[obstacle.corner], MoveEnd.CORNER, corner=obstacle.corner)
+        return self._drive(move, body.position + obstacle.distance_m * direction, MoveEnd.WALL, wall=obstacle.wall)
+
+    def _go_to_corner(self, move: GoToCorner) -> Step:
+        body = self._bodies[move.robot]
+        expected = body.pose * Pose2(*move.corner_body)
+        aim = np.array([expected.x(), expected.y()])
+        corner = self._best_corner(body, expected, move.interior_angle_rad)
+        if corner is not None:
+            return self._drive_watched(move, self.world.points[corner], corner, None)
+        way = aim - body.position
+        length = np.hypot(*way)
+        if length <= TOLERANCE_M:
+            return self._drive(move, body.position, MoveEnd.NOTHING, body.corner, body.wall)
+        obstacle = self.sight.first_obstacle(body.position, way / length)
+        if obstacle is not None and obstacle.distance_m < length:
+            aim = body.position + max(obstacle.distance_m - 0.01, 0.0) * way / length
+        lost = self.sight.contact_break(self._bodies[move.watcher].position, body.position, aim, body.corner)
+        if lost is not None:
+            return self._drive(move, body.position + lost * (aim - body.position), MoveEnd.CONTACT)
+        return self._drive(move, aim, MoveEnd.NOTHING)
+
+    def _best_corner(self, body: Body, expected: Pose2, interior_angle: float) -> int | None:
+        """The visible corner within the finder's reach of `expected` that looks most like it."""
+        at = np.array([expected.x(), expected.y()])
+        best, best_score = None, np.inf
+        for corner in self.sight.corners_near(at, self.settings.finder_reach_m):
+            offset = np.hypot(*(self.world.points[corner] - at)) / self.settings.finder_reach_m
+            turned = wrap(self._corner_pose(corner).theta() - expected.theta())
+            bent = self.world.interior_angle(corner) - interior_angle
+            score = offset**2 + turned**2 + bent**2
+            if score < best_score and self.sight.sees(body.position, self.world.points[corner]):
+                best, best_score = int(corner), score
+        return best
+
+    # driving
+
+    def _drive_watched(self, move, target, corner: int, wall: int | None) -> Step:
+        """Drive straight to a corner, unless contact would break or the watched bearing comes first."""
+        body, watcher = self._bodies[move.robot], self._bodies[move.watcher]
+        lost = self.sight.contact_break(watcher.position, body.position, target, body.corner)
+        seen = None
+        if move.watch_for_rad is not None:
+            seen = _bearing_crossing(watcher, body.position, target, watcher.heading + move.watch_for_rad)
+        if lost is not None and (seen is None or lost <= seen):
+            return self._stop_on_the_way(move, target, lost, wall, MoveEnd.CONTACT)
+        if seen is not None:
+            return self._stop_on_the_way(move, target, seen, wall, MoveEnd.BEARING)
+        ended = MoveEnd.PARTNER if watcher.corner == corner else MoveEnd.CORNER
+        return self._drive(move, target, ended, corner=corner)
+
+    def _stop_on_the_way(self, move, target, fraction: float, wall: int | None, ended: MoveEnd) -> Step:
+        body = self._bodies[move.robot]
+        if fraction <= 0.0:
+            return self._drive(move, body.position, ended, body.corner, body.wall)
+        return self._drive(move, body.position + fraction * (target - body.position), ended, wall=wall)
+
+    def _drive(self, move, target, ended: MoveEnd, corner: int | None = None, wall: int | None = None) -> Step:
+        """Turn towards the target, drive there, sense on the way and at the end."""
+        body, rates = self._bodies[move.robot], self.settings
+        way = target - body.position
+        distance = float(np.hypot(*way))
+        records = []
+        if distance > TOLERANCE_M:
+            heading = float(np.arctan2(way[1], way[0]))
+            turn = float(wrap(heading - body.heading))
+            records += self._sample_turn(move.robot, turn)
+            body.heading = heading
+            sightings = np.arange(1, int(distance / (rates.speed_m_per_s * rates.sighting_period_s)) + 1)
+            stops = sightings * rates.speed_m_per_s * rates.sighting_period_s
+            stops = np.append(stops[stops < distance - 1e-6], distance)
+            start = body.position
+            for before, after in zip(np.concatenate([[0.0], stops[:-1]]), stops, strict=True):
+                records += self._sample_drive(move.robot, after - before)
+                body.position = start + after / distance * way
+                body.corner = body.wall = None
+                self._note_truth(move.robot)
+                records += self._mutual_fixes(move.watcher, move.robot)
+            body.position = np.array(target, dtype=float)
+        body.corner, body.wall = corner, wall
+        if corner is not None and ended in (MoveEnd.CORNER, MoveEnd.PARTNER):
+            records.append(self._corner_sighting(move.robot))
+        return Step(self.time_s, tuple(records), ended, distance)
+
+    def _sample_turn(self, robot: str, turn: float) -> list:
+        if abs(turn) < 1e-12:
+            return []
+        times = self._ticks(abs(turn) / self.settings.turn_rate_rad_per_s)
+        share = np.diff(times) / (times[-1] - times[0])
+        records = self.sensors.odometry(robot, times, turn * share, np.zeros(len(share)))
+        self.time_s = float(times[-1])
+        body = self._bodies[robot]
+        body.heading += turn
+        self._note_truth(robot)
+        return records
+
+    def _sample_drive(self, robot: str, distance: float) -> list:
+        times = self._ticks(distance / self.settings.speed_m_per_s)
+        share = np.diff(times) / (times[-1] - times[0])
+        records = self.sensors.odometry(robot, times, np.zeros(len(share)), distance * share)
+        self.time_s = float(times[-1])
+        return records
+
+    def _ticks(self, duration_s: float) -> np.ndarray:
+        """(N+1,) instants of the odometry samples over a stretch that starts now."""
+        steps = max(int(np.ceil(duration_s / self.settings.odometry_period_s - 1e-9)), 1)
+        return self.time_s + np.append(np.arange(steps) * self.settings.odometry_period_s, duration_s)
+
+    # sensing
+
+    def _mutual_fixes(self, one: str, other: str) -> list:
+        """Each robot's tracker looks at the other."""
+        a, b = self._bodies[one].pose, self._bodies[other].pose
+        if a.range(b.translation()) < self.settings.tracker_blind_m:
+            return []
+        return [
+            self.sensors.relative_pose(self.time_s, one, other, a.between(b)),
+            self.sensors.relative_pose(self.time_s, other, one, b.between(a)),
+        ]
+
+    def _corner_sighting(self, robot: str):
+        body = self._bodies[robot]
+        self.truth.sighted[self.time_s, robot] = body.corner
+        T_robot_corner = body.pose.between(self._corner_pose(body.corner))
+        return self.sensors.corner(self.time_s, robot, T_robot_corner, self.world.interior_angle(body.corner))
+
+    def _corner_pose(self, corner: int) -> Pose2:
+        """The corner with the direction of the wall that leaves it."""
+        start, end = self.world.points[corner], self.world.points[self.world.next_index[corner]]
+        return Pose2(*start, np.arctan2(*(end - start)[::-1]))
+
+    def _note_truth(self, robot: str) -> None:
+        track = self.truth.tracks[robot]
+        track.stamps_s.append(self.time_s)
+        track.poses.append(self._bodies[robot].pose)
+
+    def _place(self) -> dict[str, Body]:
+        """The first robot in its corner, looking along the wall that leaves it; the others a step further each."""
+        settings = self.settings
+        try:
+            corner = self.world.flat_index(settings.start_ring, settings.start_corner)
+        except IndexError as error:
+            raise BadInput(f"team.start_corner: {error}") from None
+        start, end = self.world.points[corner], self.world.points[self.world.next_index[corner]]
+        heading = self._corner_pose(corner).theta()
+        length = np.hypot(*(end - start))
+        step = min(settings.start_step_m, 0.5 * length / max(len(settings.robots) - 1, 1))
+        bodies = {}
+        for k, robot in enumerate(settings.robots):
+            position = start + k * step * (end - start) / length
+            bodies[robot] = Body(position, heading, corner if k == 0 else None, None if k == 0 else corner)
+        return bodies
+
+
+def _bearing_crossing(watcher: Body, start, end, bearing_rad: float) -> float | None:
+    """Fraction of the drive start -> end at which the watcher sees the robot in a world direction, or None."""
+    ray = np.array([np.cos(bearing_rad), np.sin(bearing_rad)])
+    drive, line = end - start, start - watcher.position
+    turning = cross(drive, ray)
+    if abs(turning) < 1e-15:
+        return None
+    fraction = -cross(line, ray) / turning
+    if not 0.0 <= fraction <= 1.0 or (line + fraction * drive) @ ray <= 0:
+        return None
+    return float(fraction)
+
+

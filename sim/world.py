@@ -1,0 +1,232 @@
+"""A polygonal world with holes: what the simulator moves robots in, read from GeoJSON in metres.
+
+The frame is the one of the file. Free space lies on the left of every directed edge: the outer ring runs
+counter-clockwise, holes run clockwise. Exactly straight (180 degree) vertices are vertices like any other.
+"""
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import shapely
+
+from coopslam.errors import BadInput
+from sim.world_checks import parse_rings, require_simple_rings, require_world_scale, signed_area
+
+WORLDS_DIR = Path(__file__).parents[1] / "datasets" / "worlds"
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Rings of corners, not closed; ring 0 is the outer boundary, the others are holes.
+
+    A corner is named by its flat index (0 .. n-1, rings one after the other) or by (ring, index in the ring).
+    Wall `i` is the edge from corner `i` to corner `next_index[i]`. Raises BadInput when a ring runs the wrong way.
+    """
+
+    name: str
+    rings: tuple[np.ndarray, ...]  # (n_i, 2) each; m
+
+    def __post_init__(self):
+        for ring, corners in enumerate(self.rings):
+            if (signed_area(corners) > 0) != (ring == 0):
+                raise BadInput(f"world {self.name}: ring {ring} does not have free space on its left")
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """(n, 2) all corners, m; read-only."""
+        return _frozen(np.vstack(self.rings))
+
+    @cached_property
+    def offset(self) -> np.ndarray:
+        """(rings,) flat index of each ring's first corner."""
+        return _frozen(np.cumsum([0, *map(len, self.rings[:-1])]))
+
+    @cached_property
+    def ring_of(self) -> np.ndarray:
+        """(n,) ring of each corner."""
+        return _frozen(np.repeat(np.arange(len(self.rings)), [len(ring) for ring in self.rings]))
+
+    @cached_property
+    def next_index(self) -> np.ndarray:
+        """(n,) flat index of the corner where the wall that leaves each corner ends."""
+        return _frozen(np.concatenate([o + np.roll(np.arange(len(r)), -1) for o, r in zip(self.offset, self.rings)]))
+
+    @cached_property
+    def prev_index(self) -> np.ndarray:
+        """(n,) flat index of the corner where the wall that arrives at each corner starts."""
+        return _frozen(np.concatenate([o + np.roll(np.arange(len(r)), 1) for o, r in zip(self.offset, self.rings)]))
+
+    @cached_property
+    def interior_angles(self) -> np.ndarray:
+        """(n,) free angle at each corner in (0, 2 pi), ccw from the leaving wall back to the arriving wall."""
+        leaving = self.points[self.next_index] - self.points
+        arriving = self.points[self.prev_index] - self.points
+        cross = leaving[:, 0] * arriving[:, 1] - leaving[:, 1] * arriving[:, 0]
+        return _frozen(np.arctan2(cross, np.sum(leaving * arriving, axis=1)) % (2 * np.pi))
+
+    @cached_property
+    def polygon(self) -> shapely.Polygon:
+        """The closed free space."""
+        return shapely.Polygon(self.rings[0], self.rings[1:])
+
+    @property
+    def n(self) -> int:
+        """Number of corners, all rings together."""
+        return len(self.points)
+
+    @property
+    def holes(self) -> int:
+        """Number of holes."""
+        return len(self.rings) - 1
+
+    @property
+    def triangles_expected(self) -> int:
+        """Number of triangles of any triangulation that uses every corner."""
+        return self.n + 2 * self.holes - 2
+
+    @property
+    def perimeter_m(self) -> float:
+        """Length of all walls."""
+        return float(self.polygon.length)
+
+    @property
+    def area_m2(self) -> float:
+        """Area of the free space."""
+        return float(self.polygon.area)
+
+    def interior_angle(self, flat: int) -> float:
+        """One of `interior_angles`, rad."""
+        return float(self.interior_angles[flat])
+
+    def ring_index(self, flat: int) -> tuple[int, int]:
+        """(ring, index in the ring) of a corner."""
+        ring = int(self.ring_of[flat])
+        return ring, int(flat - self.offset[ring])
+
+    def flat_index(self, ring: int, index: int) -> int:
+        """Flat index of a corner; IndexError when there is no such corner."""
+        if not (0 <= ring < len(self.rings) and 0 <= index < len(self.rings[ring])):
+            raise IndexError(f"world {self.name} has no corner {index} in ring {ring}")
+        return int(self.offset[ring]) + index
+
+    def to_geojson(self) -> dict:
+        """A Feature whose rings are closed, in the same order and direction; `world_from_geojson` reads it back."""
+        coordinates = [[*ring.tolist(), ring[0].tolist()] for ring in self.rings]
+        return {
+            "type": "Feature",
+            "properties": {"name": self.name, "units": "m"},
+            "geometry": {"type": "Polygon", "coordinates": coordinates},
+        }
+
+
+def world_names() -> list[str]:
+    """Names of the worlds in the repository."""
+    return sorted(path.stem for path in WORLDS_DIR.glob("*.geojson"))
+
+
+def load_world(path_or_name: str | Path) -> World:
+    """A world of the repository by its name, or the one polygon of a GeoJSON file.
+
+    Raises BadInput with one line that names file, ring and vertex (as they stand in the file) and what was expected.
+    """
+    text = str(path_or_name)
+    if text in world_names():
+        path = WORLDS_DIR / f"{text}.geojson"
+    elif Path(text).suffix or Path(text).name != text or Path(text).exists():
+        path = Path(text)
+    else:
+        raise BadInput(f"no world {text!r}; expected a path to a GeoJSON file or one of: {', '.join(world_names())}")
+    return world_from_geojson(_read_json(path), where=str(path), default_name=path.stem)
+
+
+def world_from_geojson(data: dict, where: str = "world", default_name: str = "world") -> World:
+    """The one polygon of a GeoJSON object; `where` begins every message. Raises BadInput."""
+    coordinates, properties = _only_polygon(data, where)
+    rings = parse_rings(coordinates, where)
+    require_world_scale(rings, properties.get("units"), where)
+    require_simple_rings(rings, where)
+    return World(_name(properties, default_name, where), tuple(_free_space_left(i, r) for i, r in enumerate(rings)))
+
+
+def _read_json(path: Path):
+    try:
+        return json.loads(path.read_bytes().decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: byte {error.start} is not UTF-8 text; a GeoJSON file expected") from error
+    except json.JSONDecodeError as error:
+        raise BadInput(f"{path}, line {error.lineno}: not JSON ({error.msg}); a GeoJSON file expected") from error
+    except RecursionError as error:
+        raise BadInput(f"{path}: JSON nested too deeply; a GeoJSON polygon expected") from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise BadInput(f"{path}: cannot be read ({reason}); a GeoJSON file expected") from error
+
+
+def _only_polygon(data, where: str) -> tuple[list, dict]:
+    """The coordinates of the one polygon, and the properties of its feature."""
+    _require_object(data, where)
+    features = _list(data, "features", where) if data.get("type") == "FeatureCollection" else [data]
+    polygons = [polygon for feature in features for polygon in _polygons(feature, where)]
+    if len(polygons) != 1:
+        raise BadInput(f"{where}: {len(polygons) or 'no'} polygons found; exactly one expected")
+    return polygons[0]
+
+
+def _polygons(data, where: str) -> list[tuple[list, dict]]:
+    """Every polygon's coordinates in a Feature or geometry; geometries of other types are left out."""
+    _require_object(data, where)
+    properties = {}
+    if data.get("type") == "Feature":
+        properties = data.get("properties") or {}
+        if not isinstance(properties, dict):
+            raise BadInput(f"{where}: properties are {_short(properties)}; an object expected")
+        data = data.get("geometry") or {}
+        _require_object(data, where)
+    if data.get("type") == "Polygon":
+        return [(_list(data, "coordinates", where), properties)]
+    if data.get("type") == "MultiPolygon":
+        return [(coordinates, properties) for coordinates in _list(data, "coordinates", where)]
+    return []
+
+
+def _require_object(data, where: str) -> None:
+    if not isinstance(data, dict):
+        raise BadInput(f"{where}: {_short(data)} found; a GeoJSON object expected")
+    if data.get("crs") is not None:
+        raise BadInput(f"{where}: has a crs member ({_short(data['crs'])}); plain metres without a crs expected")
+
+
+def _list(data: dict, key: str, where: str) -> list:
+    if not isinstance(data.get(key), list):
+        raise BadInput(f"{where}: {data['type']} has {key} {_short(data.get(key))}; a list expected")
+    return data[key]
+
+
+def _name(properties: dict, default: str, where: str) -> str:
+    name = properties.get("name")
+    if name is None:
+        return default
+    if not isinstance(name, str) or not name.strip():
+        raise BadInput(f"{where}: properties.name is {_short(name)}; text expected")
+    return " ".join(name.split())
+
+
+def _free_space_left(ring: int, corners: np.ndarray) -> np.ndarray:
+    """The ring's corners in the direction that has free space on the left, from the same first corner."""
+    if (signed_area(corners) > 0) != (ring == 0):
+        corners = np.roll(corners[::-1], 1, axis=0)
+    return _frozen(corners)
+
+
+def _frozen(array: np.ndarray) -> np.ndarray:
+    array = np.ascontiguousarray(array)
+    array.setflags(write=False)
+    return array
+
+
+def _short(value) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,1 @@
+"""The vision robot tracker: target, camera, rendering, detection and calibration."""
