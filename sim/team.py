@@ -29,6 +29,7 @@ class TeamSettings:
     turn_rate_rad_per_s: float = 1.0
     odometry_period_s: float = 0.5
     sighting_period_s: float = 2.0
+    sightings_per_leg: int = 8  # at most; long legs are watched less often
     finder_reach_m: float = 0.5
     tracker_blind_m: float = 0.02  # closer than this the tracker sees nothing
 
@@ -217,8 +218,8 @@ class Team:
             turn = float(wrap(heading - body.heading))
             records += self._sample_turn(move.robot, turn)
             body.heading = heading
-            sightings = np.arange(1, int(distance / (rates.speed_m_per_s * rates.sighting_period_s)) + 1)
-            stops = sightings * rates.speed_m_per_s * rates.sighting_period_s
+            apart = max(rates.speed_m_per_s * rates.sighting_period_s, distance / rates.sightings_per_leg)
+            stops = np.arange(1, int(distance / apart) + 1) * apart
             stops = np.append(stops[stops < distance - 1e-6], distance)
             start = body.position
             for before, after in zip(np.concatenate([[0.0], stops[:-1]]), stops, strict=True):
@@ -236,26 +237,28 @@ class Team:
     def _sample_turn(self, robot: str, turn: float) -> list:
         if abs(turn) < 1e-12:
             return []
-        times = self._ticks(abs(turn) / self.settings.turn_rate_rad_per_s)
-        share = np.diff(times) / (times[-1] - times[0])
-        records = self.sensors.odometry(robot, times, turn * share, np.zeros(len(share)))
-        self.time_s = float(times[-1])
+        share = self._shares(abs(turn) / self.settings.turn_rate_rad_per_s)
+        records = self._odometry(robot, turn * share, np.zeros(len(share)), abs(turn) / self.settings.turn_rate_rad_per_s * share)
         body = self._bodies[robot]
         body.heading += turn
         self._note_truth(robot)
         return records
 
     def _sample_drive(self, robot: str, distance: float) -> list:
-        times = self._ticks(distance / self.settings.speed_m_per_s)
-        share = np.diff(times) / (times[-1] - times[0])
-        records = self.sensors.odometry(robot, times, np.zeros(len(share)), distance * share)
-        self.time_s = float(times[-1])
-        return records
+        share = self._shares(distance / self.settings.speed_m_per_s)
+        return self._odometry(robot, np.zeros(len(share)), distance * share, distance / self.settings.speed_m_per_s * share)
 
-    def _ticks(self, duration_s: float) -> np.ndarray:
-        """(N+1,) instants of the odometry samples over a stretch that starts now."""
+    def _shares(self, duration_s: float) -> np.ndarray:
+        """(N,) shares of a stretch between one odometry sample and the next; they add up to 1."""
         steps = max(int(np.ceil(duration_s / self.settings.odometry_period_s - 1e-9)), 1)
-        return self.time_s + np.append(np.arange(steps) * self.settings.odometry_period_s, duration_s)
+        shares = np.full(steps, self.settings.odometry_period_s / duration_s)
+        shares[-1] = 1.0 - shares[:-1].sum()
+        return shares
+
+    def _odometry(self, robot: str, turns_rad, distances_m, durations_s) -> list:
+        times = self.time_s + np.append(0.0, np.cumsum(durations_s))
+        self.time_s = float(times[-1])
+        return self.sensors.odometry(robot, times, turns_rad, distances_m)
 
     # sensing
 

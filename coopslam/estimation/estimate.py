@@ -1,14 +1,16 @@
 """What every estimator returns."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from coopslam.errors import BadInput, UnderDetermined
 from coopslam.estimation.keys import vertex_key
 from coopslam.estimation.timeline import Timeline
+from coopslam.records import Record
 from coopslam.se2 import Pose2, PoseBelief, chain_covariance
 
 
@@ -27,8 +29,10 @@ class Estimate(ABC):
     A view of its estimator: after the next update it tells the newer values. Everything is computed when asked.
     """
 
-    def __init__(self, timeline: Timeline):
+    def __init__(self, timeline: Timeline, causal: dict[int, Pose2] | None = None):
+        """causal: pose key -> its value right after the update that made it."""
         self.timeline = timeline
+        self._causal = {} if causal is None else causal
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -75,6 +79,15 @@ class Estimate(ABC):
         poses = [self.value(key) for key in keys]
         return Trajectory(self._stamps(keys), poses, self._covariances(keys))
 
+    def causal_trajectory(self, robot: str) -> Trajectory:
+        """Each pose as known right after the update that made it; without covariances."""
+        keys = self._keys(robot)
+        return Trajectory(self._stamps(keys), [self._causal[key] for key in keys])
+
+    def keep_causal(self, keys: Iterable[int]) -> None:
+        """For estimators: remember how new variables are known now."""
+        self._causal.update((key, self.value(key)) for key in keys)
+
     @abstractmethod
     def value(self, key: int) -> Pose2:
         """The pose of any placed variable."""
@@ -86,10 +99,6 @@ class Estimate(ABC):
     @abstractmethod
     def joint_covariance(self, keys: Sequence[int]) -> np.ndarray:
         """(3k, 3k) joint covariance of k different variables: blocks in the order asked, each in its own axes."""
-
-    @abstractmethod
-    def causal_trajectory(self, robot: str) -> Trajectory:
-        """Each pose as known right after the update that made it; without covariances."""
 
     def _covariances(self, keys: Sequence[int]) -> np.ndarray:
         return np.array([self.covariance(key) for key in keys])
@@ -108,3 +117,13 @@ class Estimate(ABC):
 
     def _stamps(self, keys: Sequence[int]) -> np.ndarray:
         return np.array([self.timeline.stamps[key] for key in keys])
+
+
+class Estimator(Protocol):
+    """Takes records in groups, as they come, and tells what it makes of all of them so far."""
+
+    timeline: Timeline
+    timing: float  # s spent in updates
+
+    def update(self, records: Iterable[Record]) -> Estimate:
+        """Use a further group of records; raises UnderDetermined when a variable is not tied down."""

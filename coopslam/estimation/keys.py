@@ -20,12 +20,13 @@ def is_vertex(key: int) -> bool:
     return gtsam.symbolChr(key) == ord("v")
 
 
-def describe(key: int, robots) -> str:
-    """The key in words: "robot1 pose 17", "vertex 5"."""
+def describe(key: int, robots=()) -> str:
+    """The key in words: "robot1 pose 17", "vertex 5"; without names "robot #1 pose 17"."""
     letter, index = gtsam.symbolChr(key), gtsam.symbolIndex(key)
     if letter == ord("v"):
         return f"vertex {index}"
     robot_index = index >> _INDEX_BITS
-    if letter != ord("x") or robot_index >= len(robots):
-        return f"unknown variable {key}"
-    return f"{robots[robot_index]} pose {index & ((1 << _INDEX_BITS) - 1)}"
+    if letter != ord("x"):
+        return f"variable {key}"
+    robot = robots[robot_index] if robot_index < len(robots) else f"robot #{robot_index}"
+    return f"{robot} pose {index & ((1 << _INDEX_BITS) - 1)}"

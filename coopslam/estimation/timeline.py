@@ -30,7 +30,7 @@ from coopslam.records import (
     TriangleDecision,
     WallDecision,
 )
-from coopslam.se2 import Pose2, chain_covariance, observer_to_target_axes
+from coopslam.se2 import Pose2, chain_covariance, observer_to_target_axes, xytheta
 
 STAMP_TOLERANCE_S = 1e-6  # two stamps closer than this are the same instant
 
@@ -59,7 +59,7 @@ class Growth:
 class Frame:
     """Robots and vertices whose poses are guessed in one common frame."""
 
-    members: set
+    members: dict  # robot or vertex -> None: a set that keeps its order
     values: gtsam.Values = field(default_factory=gtsam.Values)  # guesses not yet handed out
     poses: list[int] = field(default_factory=list)  # pose variables not yet handed out
 
@@ -92,7 +92,7 @@ class Timeline:
         self.vertices: list[int] = []  # ids of placed vertices, in the order of their placement
         self.used: Counter[str] = Counter()  # kind of record -> number
         self.dropped: Counter[str] = Counter()  # "kind: reason" -> number
-        self._frames = {robot: Frame({robot}) for robot in self.robots}  # also by vertex id
+        self._frames = {robot: Frame({robot: None}) for robot in self.robots}  # also by vertex id
         self._anchored = self._frames[self.robots[0]]
         self._waiting: dict = {}  # robot or vertex that is not placed -> [(factor, members)]
         self._doubt: dict[int, float] = {}  # pose key of this group -> how bad its guess is
@@ -140,7 +140,7 @@ class Timeline:
         if not track.keys:
             self._begin(track, record.start_s)
         track.odometry_end_s = record.stamp_s
-        if record.T_start_now.equals(Pose2(), 0.0) and not record.cov_now.any():
+        if not record.cov_now.any() and not xytheta(record.T_start_now).any():
             return True  # it stands, and knows it
         if not track.moved:
             track.until_s[-1] = record.start_s
@@ -281,7 +281,8 @@ class Timeline:
         T_stays_goes = self._guess(edge.key_a, stays) * edge.T_a_b * self._guess(edge.key_b, goes).inverse()
         if goes is self._anchored:
             stays, goes, T_stays_goes = goes, stays, T_stays_goes.inverse()
-        for key in goes.values.keys():
+        moving = goes.values.keys()
+        for key in moving:
             stays.values.insert(key, T_stays_goes * goes.values.atPose2(key))
         stays.poses.extend(goes.poses)
         stays.members |= goes.members
@@ -296,10 +297,10 @@ class Timeline:
         """Give a vertex its first guess, or move it from a frame that is not placed to one that is."""
         former = self._frames.get(vertex)
         if former is not None:
-            former.members.discard(vertex)
+            former.members.pop(vertex)
             former.values.erase(vertex_key(vertex))
         self._frames[vertex] = frame
-        frame.members.add(vertex)
+        frame.members[vertex] = None
         frame.values.insert(vertex_key(vertex), guess)
         if frame is self._anchored:
             self._placed(vertex)

@@ -29,10 +29,17 @@ from coopslam.exploration.recognition import (
     corner_distance_sq,
     fitting_sector,
     interior_angle_agrees,
+    outside,
+    sector_limits,
 )
 from coopslam.exploration.travel import route_to_gate
 from coopslam.records import CornerDecision, CornerSighting, Decision, TriangleDecision, WallDecision
-from coopslam.se2 import position, wrap
+from coopslam.se2 import adjoint, largest_sigma, position, wrap
+
+
+STRAIGHT_RAD = 1e-6  # angles closer than this are one direction, however good the sensors
+SAME_PLACE_M = 1e-6
+PATH_SLACK_RAD = 0.1  # how far a path may bend away from the direction measured at its start
 
 
 class Stuck(CoopSlamError):
@@ -215,10 +222,10 @@ class Explorer:
         else:
             edge = 0.0 if clockwise else self.free_map.interior_angles[corner]
         opening = ((toward_pivot - edge) if clockwise else (edge - toward_pivot)) % (2 * np.pi)
-        margin = self.settings.angle_sigmas * self._bearing_sigma(corner, pivot)
-        if opening > 2 * np.pi - max(margin, 1e-6):
+        margin = self._bearing_margin(corner, pivot, clearance=min(opening, abs(opening - np.pi), 2 * np.pi - opening))
+        if opening > 2 * np.pi - margin:
             opening = 0.0
-        return opening, max(margin, 1e-6)
+        return opening, margin
 
     def _sweep(self, sweep: Sweep):
         """Turn the line of contact about the pivot until it meets the apex. False: it cannot be turned this way."""
@@ -229,11 +236,11 @@ class Explorer:
             if step.ended == MoveEnd.CORNER:
                 return (yield from self._meet_corner(sweep, step.corner))
             if step.ended == MoveEnd.DISTANCE:
-                target = gate_ahead[0] if self._ahead_angle(sweep, gate_ahead[0]) > 0 else gate_ahead[1]
+                target = gate_ahead[0] if self._ahead_angles(sweep, self._position(gate_ahead[0])[None])[0] > 0 else gate_ahead[1]
         passed = {target}
         attempts = self.settings.attempts
         while True:
-            watched, watch_for = self._next_known(sweep, passed)
+            watched, watch_for = self._next_known(sweep, target, passed)
             if target is None:
                 step = yield FollowWall(sweep.mover, sweep.watcher, sweep.wall_on, watch_for)
             else:
@@ -345,38 +352,73 @@ class Explorer:
 
     # known gates, by the estimate
 
-    def _next_known(self, sweep: Sweep, passed: set) -> tuple[int | None, float | None]:
-        """The next end of an open gate that the line of contact will meet, and its bearing in the watcher's frame."""
-        best, best_angle = None, np.pi
-        for vertex in {v for gate in self.free_map.gates for v in gate} - passed - set(sweep.gate):
-            angle = self._ahead_angle(sweep, vertex)
-            if -1e-7 < angle < best_angle and (angle > 1e-7 or self._gate_goes_ahead(sweep, vertex)):
-                best, best_angle = vertex, angle
-        if best is None:
+    def _next_known(self, sweep: Sweep, target: int | None, passed: set) -> tuple[int | None, float | None]:
+        """The next end of an open gate that the line of contact will meet, and its bearing in the watcher's frame.
+
+        Left out: what lies beyond the path that the mover follows, and vertices whose unexplored space does not
+        face the watcher.
+        """
+        ends = sorted({v for gate in self.free_map.gates for v in gate} - passed - set(sweep.gate))
+        if not ends:
             return None, None
-        there = self.estimate.pose(sweep.watcher).transformTo(self._position(best))
-        return best, float(np.arctan2(there[1], there[0]))
+        places = np.array([self._position(vertex) for vertex in ends])
+        angles = self._ahead_angles(sweep, places)
+        ahead = (angles > -STRAIGHT_RAD) & ~self._beyond_path(sweep, target, places)
+        for k in np.argsort(angles):
+            if not ahead[k] or (angles[k] <= STRAIGHT_RAD and not self._gate_goes_ahead(sweep, ends[k])):
+                continue
+            if self._faces(ends[k], sweep.pivot):
+                there = self.estimate.pose(sweep.watcher).transformTo(places[k])
+                return ends[k], float(np.arctan2(there[1], there[0]))
+        return None, None
+
+    def _beyond_path(self, sweep: Sweep, target: int | None, places: np.ndarray) -> np.ndarray:
+        """(N,) whether places lie clearly on the far side of the straight path of the mover, seen from the pivot."""
+        if target is None and sweep.boundary is None:
+            return np.zeros(len(places), dtype=bool)  # a wall met beyond a doorway: its direction is not known
+        corner = self._vertex(sweep.corner)
+        if target is not None:
+            way = self._position(target) - position(self.estimate.pose(sweep.mover))
+        else:
+            angle = 0.0 if sweep.turn > 0 else self.free_map.interior_angles[sweep.corner]
+            way = corner.rotation().matrix() @ np.array([np.cos(angle), np.sin(angle)])
+        offset = places - position(corner if target is None else self.estimate.pose(sweep.mover))
+        slack = PATH_SLACK_RAD * np.hypot(*offset.T) * np.hypot(*way)
+        return sweep.turn * (way[0] * offset[:, 1] - way[1] * offset[:, 0]) < -slack
+
+    def _faces(self, vertex: int, pivot: int) -> bool:
+        """Whether a vertex has unexplored space towards the pivot."""
+        corner = self._vertex(vertex)
+        toward = bearing(corner, self._vertex(pivot))
+        slack = self.settings.recognition.sector_slack_rad
+        return any(
+            outside(toward, *sector_limits(self.free_map, self.estimate, vertex, sector)) <= slack
+            for sector in self.free_map.unexplored_sectors(vertex)
+        )
 
     def _gate_goes_ahead(self, sweep: Sweep, vertex: int) -> bool:
         """Whether an open gate at a vertex on the line of contact leads to where the line will turn."""
         others = [(set(gate) - {vertex}).pop() for gate in self.free_map.gates if vertex in gate]
-        return any(1e-7 < self._ahead_angle(sweep, other) < np.pi for other in others)
+        return bool((self._ahead_angles(sweep, np.array([self._position(v) for v in others])) > STRAIGHT_RAD).any())
 
-    def _ahead_angle(self, sweep: Sweep, vertex: int) -> float:
-        """Angle at the pivot from the mover to a vertex, in the sense of the sweep, (-pi, pi]."""
+    def _ahead_angles(self, sweep: Sweep, places: np.ndarray) -> np.ndarray:
+        """(N,) angles at the pivot from the mover to (N, 2) places, in the sense of the sweep, (-pi, pi]."""
         pivot = self._position(sweep.pivot)
         to_mover = position(self.estimate.pose(sweep.mover)) - pivot
-        to_vertex = self._position(vertex) - pivot
-        return sweep.turn * float(wrap(np.arctan2(*to_vertex[::-1]) - np.arctan2(*to_mover[::-1])))
+        arms = places - pivot
+        return sweep.turn * wrap(np.arctan2(arms[:, 1], arms[:, 0]) - np.arctan2(to_mover[1], to_mover[0]))
 
     def _stands_between(self, sweep: Sweep, vertex: int) -> bool:
         """Whether a vertex on the line of contact is nearer to the pivot than the mover, and not the mover's place."""
         pivot = self._position(sweep.pivot)
-        mover = self.estimate.belief(sweep.mover)
+        mover, known = self.estimate.belief(sweep.mover), self.estimate.vertex_belief(vertex)
         gap = np.hypot(*(position(mover.T_world_body) - pivot)) - np.hypot(*(self._position(vertex) - pivot))
-        joint = self.estimate.joint_covariance([self.estimate.pose_key(sweep.mover), self.estimate.vertex_key(vertex)])
-        sigma = np.sqrt(joint[:2, :2].trace() + joint[3:5, 3:5].trace())
-        return gap > self.settings.same_place_sigmas * sigma + 1e-6
+        if gap <= 0:
+            return False
+        sigmas = self.settings.same_place_sigmas
+        if gap > sigmas * (mover.position_sigma_m + known.position_sigma_m) + SAME_PLACE_M:
+            return True
+        return gap > sigmas * self._relative_sigma(sweep.mover, vertex) + SAME_PLACE_M
 
     def _gate_ahead(self, sweep: Sweep) -> tuple[tuple[int, int] | None, float | None]:
         """The first open gate across the line of contact prolonged beyond the mover, and how far away, m."""
@@ -433,12 +475,27 @@ class Explorer:
     def _position(self, vertex: int) -> np.ndarray:
         return position(self._vertex(vertex))
 
-    def _bearing_sigma(self, corner: int, other: int) -> float:
-        """Sigma of the direction of one vertex in another's frame, rad."""
+    def _bearing_margin(self, corner: int, other: int, clearance: float) -> float:
+        """How far off the direction of one vertex in another's frame may be, rad.
+
+        A quick bound from the two marginals is enough when it is below the clearance that the decision has.
+        """
+        sigmas = self.settings.angle_sigmas
         there = self._vertex(corner).transformTo(self._position(other))
-        range_sq = float(there @ there)
-        across = np.array([-there[1], there[0]]) / range_sq
+        range_m = float(np.hypot(*there))
+        near, far = self.estimate.vertex_belief(corner), self.estimate.vertex_belief(other)
+        bound = (near.position_sigma_m + far.position_sigma_m) / range_m + np.sqrt(near.cov_body[2, 2])
+        if sigmas * bound < clearance:
+            return max(sigmas * bound, STRAIGHT_RAD)
+        across = np.array([-there[1], there[0]]) / range_m**2
         turn = self._vertex(corner).between(self._vertex(other)).rotation().matrix()
         jacobian = np.concatenate([-across, [-1.0], across @ turn, [0.0]])
         joint = self.estimate.joint_covariance([self.estimate.vertex_key(corner), self.estimate.vertex_key(other)])
-        return float(np.sqrt(max(jacobian @ joint @ jacobian, 0.0)))
+        return max(sigmas * float(np.sqrt(max(jacobian @ joint @ jacobian, 0.0))), STRAIGHT_RAD)
+
+    def _relative_sigma(self, robot: str, vertex: int) -> float:
+        """Largest sigma of a vertex's position in a robot's frame, m."""
+        there = self.estimate.pose(robot).between(self._vertex(vertex))
+        jacobian = np.hstack([-adjoint(there.inverse()), np.eye(3)])
+        joint = self.estimate.joint_covariance([self.estimate.pose_key(robot), self.estimate.vertex_key(vertex)])
+        return largest_sigma((jacobian @ joint @ jacobian.T)[:2, :2])

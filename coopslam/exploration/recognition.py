@@ -51,7 +51,6 @@ def fitting_sector(
     """
     a, b = gate
     corner = estimate.vertex(apex)
-    interior = free_map.interior_angles[apex]
     toward_a, toward_b = bearing(corner, estimate.vertex(a)), bearing(corner, estimate.vertex(b))
     best, best_miss = None, np.inf
     for sector in free_map.unexplored_sectors(apex):
@@ -60,10 +59,9 @@ def fitting_sector(
             continue
         if wall_at_start and not (low.is_wall and low.other in (None, a)):
             continue
-        first = 0.0 if low.is_wall else bearing(corner, estimate.vertex(low.other))
-        last = interior if high.is_wall else bearing(corner, estimate.vertex(high.other))
-        miss_a = 0.0 if low.other == a or wall_at_start else _outside(toward_a, first, last)
-        miss_b = 0.0 if high.other == b or wall_at_end else _outside(toward_b, first, last)
+        first, last = sector_limits(free_map, estimate, apex, sector)
+        miss_a = 0.0 if low.other == a or wall_at_start else outside(toward_a, first, last)
+        miss_b = 0.0 if high.other == b or wall_at_end else outside(toward_b, first, last)
         if miss_a + miss_b < best_miss:
             best, best_miss = sector, miss_a + miss_b
     return best, best_miss
@@ -75,6 +73,14 @@ def bearing(T_world_corner: Pose2, T_world_other: Pose2) -> float:
     return float(np.arctan2(there[1], there[0]) % (2 * np.pi))
 
 
-def _outside(angle: float, first: float, last: float) -> float:
+def sector_limits(free_map: FreeMap, estimate: Estimate, vertex: int, sector: Sector) -> tuple[float, float]:
+    """Directions of a sector's two sides in the vertex's frame, in [0, 2 pi); the second may be a little below the first."""
+    low, high, corner = sector.clockwise, sector.counter_clockwise, estimate.vertex(vertex)
+    first = 0.0 if low.is_wall else bearing(corner, estimate.vertex(low.other))
+    last = free_map.interior_angles[vertex] if high.is_wall else bearing(corner, estimate.vertex(high.other))
+    return first, last
+
+
+def outside(angle: float, first: float, last: float) -> float:
     """How far an angle lies outside [first, last], rad; all modulo a full turn."""
     return min(max(first - turn, turn - last, 0.0) for turn in (angle - 2 * np.pi, angle, angle + 2 * np.pi))

@@ -58,7 +58,7 @@ class RunLogWriter:
             data = kind.say(record).encode()
         except ValueError as error:
             raise BadRecord(f"{kind.topic} at t = {record.stamp_s} s cannot be logged: {error}") from error
-        time_ns = round(min(max(record.stamp_s * 1e9, 0.0), _MAX_TIME_NS))
+        time_ns = round(min(max(float(record.stamp_s) * 1e9, 0.0), _MAX_TIME_NS))
         self._writer.add_message(channel, time_ns, data, time_ns, self._count)
         self._count += 1
         if self._count % _RECORDS_PER_CHUNK == 0:

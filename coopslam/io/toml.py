@@ -1,4 +1,4 @@
-"""Settings: TOML files to and from nested frozen dataclasses; an unknown key or a wrong type is an error with its place.
+"""Settings: TOML files to and from nested frozen dataclasses; an unknown key or a wrong type is said with its place.
 
 TOML has no null: a setting that is None is left out, which is why its default must be None.
 """

@@ -1,0 +1,31 @@
+"""Marginal and joint covariances of a solved graph.
+
+`gtsam.Marginals` offers no choice of ordering, and COLAMD recurses as deep as a chain is long; a METIS
+ordering gives a tree of logarithmic depth.
+"""
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+
+from coopslam.estimation.graph_check import in_words
+
+
+class Covariances:
+    """The linearized graph, eliminated once; raises UnderDetermined when that is not possible."""
+
+    def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, robots: Sequence[str] = ()):
+        linear = graph.linearize(values)
+        try:
+            self._tree = linear.eliminateMultifrontal(gtsam.Ordering.MetisGaussianFactorGraph(linear))
+        except RuntimeError as error:
+            raise in_words(error, robots) from error
+
+    def marginal(self, key: int) -> np.ndarray:
+        """(d, d) covariance of a variable in its own axes."""
+        return self._tree.marginalCovariance(key)
+
+    def joint(self, keys: Sequence[int]) -> np.ndarray:
+        """Joint covariance of different variables, blocks in the order asked, each in its own axes."""
+        return self._tree.jointMarginalCovariance(list(keys)).fullMatrix()

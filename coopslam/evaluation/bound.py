@@ -1,0 +1,58 @@
+"""The Cramer-Rao bound: the covariance of the same graph linearized at truth. No unbiased estimator does better."""
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+
+from coopslam.errors import BadInput
+from coopslam.estimation.covariances import Covariances
+from coopslam.estimation.graph_check import check
+from coopslam.se2 import position, rotation
+
+
+def bound_rmse_aligned(graph: gtsam.NonlinearFactorGraph, truth: gtsam.Values, position_keys: Sequence[int]) -> float:
+    """Least root mean squared position error, m, of the keys after one SE(2) alignment.
+
+    truth: the true `Pose2` of all variables, in the frame of the graph's prior.
+    To first order the alignment removes the part of the stacked position error e that lies along the three
+    rigid motions, so E|e'|^2 = trace((I - P) Sigma) with P their projector: the trace comes from marginals,
+    that of P Sigma from one solve for each motion. The joint covariance is never formed.
+    """
+    if len(position_keys) < 2:
+        raise BadInput(f"an alignment of {len(position_keys)} positions leaves no error to bound; 2 or more expected")
+    check(graph, truth)
+    covariances = Covariances(graph, truth)
+    total = sum(np.trace(covariances.marginal(key)[:2, :2]) for key in position_keys)
+    linear = graph.linearize(truth)
+    ordering = gtsam.Ordering.MetisGaussianFactorGraph(linear)
+    removed = sum(_variance_along(linear, ordering, motion) for motion in _rigid_motions(truth, position_keys))
+    return float(np.sqrt(max(total - removed, 0.0) / len(position_keys)))
+
+
+def _rigid_motions(truth: gtsam.Values, keys: Sequence[int]) -> list[dict[int, np.ndarray]]:
+    """Three orthonormal directions of the stacked positions: key -> (3,) in the axes of its own pose."""
+    poses = [truth.atPose2(key) for key in keys]
+    points = np.array([position(pose) for pose in poses])
+    arms = points - points.mean(axis=0)
+    turn = np.stack([-arms[:, 1], arms[:, 0]], axis=1)
+    directions = [np.tile([1.0, 0.0], (len(keys), 1)), np.tile([0.0, 1.0], (len(keys), 1)), turn]
+    if not turn.any():
+        directions.pop()
+    motions = []
+    for direction in directions:
+        world = direction / np.linalg.norm(direction)
+        body = [np.append(rotation(-pose.theta()) @ w, 0.0) for pose, w in zip(poses, world, strict=True)]
+        motions.append(dict(zip(keys, body, strict=True)))
+    return motions
+
+
+def _variance_along(linear: gtsam.GaussianFactorGraph, ordering, motion: dict[int, np.ndarray]) -> float:
+    """u' Sigma u, from the solution of Information x = u: u enters the normal equations as a gradient."""
+    loaded = gtsam.GaussianFactorGraph()
+    loaded.push_back(linear)
+    for key, u in motion.items():
+        loaded.push_back(gtsam.HessianFactor(key, np.zeros((3, 3)), u, 0.0))
+    at_rest = linear.optimize(ordering)
+    solution = loaded.optimize(ordering)
+    return float(sum(u @ (solution.at(key) - at_rest.at(key)) for key, u in motion.items()))

@@ -1,0 +1,197 @@
+import gtsam
+import numpy as np
+import pytest
+from leapfrog import ROBOTS, difference, leapfrog
+from scipy.linalg import logm
+from scipy.optimize import least_squares
+
+from coopslam.errors import UnderDetermined
+from coopslam.estimation.batch import Batch, BatchEstimate, solve_batch
+from coopslam.estimation.factors import gauge_prior, odometry_leg
+from coopslam.estimation.incremental import Incremental
+from coopslam.estimation.keys import pose_key
+from coopslam.records import CornerDecision, Odometry, RelativePoseFix, WallDecision
+from coopslam.se2 import Pose2, rotation, xytheta
+
+
+def matrix(state):
+    result = np.eye(3)
+    result[:2, :2], result[:2, 2] = rotation(state[2]), state[:2]
+    return result
+
+
+def relative(a, b):
+    """State of b in the frame of a, plain numpy."""
+    T = np.linalg.inv(matrix(a)) @ matrix(b)
+    return np.array([T[0, 2], T[1, 2], np.arctan2(T[1, 0], T[0, 0])])
+
+
+def logarithm(state):
+    """Exponential coordinates of a state; closed form of Eade, Lie Groups for 2D and 3D Transformations (2017)."""
+    half = state[2] / 2.0
+    a = half / np.tan(half) if abs(half) > 1e-9 else 1.0
+    return np.array([a * state[0] + half * state[1], -half * state[0] + a * state[1], state[2]])
+
+
+def test_the_oracle_s_logarithm_is_scipy_s():
+    state = np.array([1.0, -2.0, 0.7])
+    np.testing.assert_allclose(logm(matrix(state))[[0, 1, 1], [2, 2, 0]], logarithm(state), atol=1e-12)
+
+
+def oracle(world, timeline, guess):
+    """Our records as a least-squares problem for scipy; diagonal covariances only, weighed in their own axes."""
+    keys = list(guess.keys())
+    column = {key: 3 * i for i, key in enumerate(keys)}
+    terms = []  # (key a, key b, measured state, sigmas, axes of the second pose?)
+    current = {robot: 0 for robot in ROBOTS}
+    for record in world.records:
+        if isinstance(record, Odometry):
+            index = ROBOTS.index(record.robot)
+            a, b = pose_key(index, current[record.robot]), pose_key(index, current[record.robot] + 1)
+            current[record.robot] += 1
+            terms.append((a, b, xytheta(record.T_start_now), np.sqrt(np.diag(record.cov_now)), True))
+        elif isinstance(record, RelativePoseFix):
+            a, b = (pose_key(ROBOTS.index(r), current[r]) for r in (record.observer, record.target))
+            terms.append((a, b, xytheta(record.T_observer_target), np.sqrt(np.diag(record.cov_observer)), False))
+        elif isinstance(record, CornerDecision):
+            seen = record.sighting
+            a = pose_key(ROBOTS.index(seen.observer), current[seen.observer])
+            b = gtsam.symbol("v", record.vertex)
+            terms.append((a, b, xytheta(seen.T_observer_corner), np.sqrt(np.diag(seen.cov_observer)), False))
+
+    def residuals(x):
+        state = {key: x[i : i + 3] for key, i in column.items()}
+        rows = [state[pose_key(0, 0)] / 1e-6]
+        for a, b, measured, sigmas, own_axes in terms:
+            predicted = relative(state[a], state[b])
+            error = logarithm(relative(measured, predicted))
+            if not own_axes:
+                error[:2] = rotation(measured[2]) @ error[:2]
+            rows.append(error / sigmas)
+        for record in world.records:
+            if isinstance(record, WallDecision):
+                a, b = (state[gtsam.symbol("v", v)] for v in (record.start, record.end))
+                along = relative(a, b)
+                rows.append(np.array([np.arctan2(along[1], along[0]) / record.straightness_sigma_rad]))
+        return np.concatenate(rows)
+
+    x0 = np.concatenate([xytheta(guess.atPose2(key)) for key in keys])
+    return column, least_squares(residuals, x0, jac="3-point", x_scale="jac", ftol=1e-14, xtol=1e-14, gtol=1e-12)
+
+
+def small_world():
+    world = leapfrog(np.random.default_rng(5), legs=5, steps=2, corners=3)
+    start, end = world.corners[0], world.corners[1]
+    bearing = start.bearing(end.translation()).theta()
+    # turn corner 0 so that its wall leads to corner 1, in truth and in what was seen of it
+    world.corners[0] = start * Pose2(0, 0, bearing)
+    for group in world.groups:
+        for i, record in enumerate(group):
+            if isinstance(record, CornerDecision) and record.vertex == 0:
+                seen = record.sighting
+                turned = type(seen)(
+                    seen.stamp_s,
+                    seen.observer,
+                    seen.T_observer_corner * Pose2(0, 0, bearing),
+                    seen.cov_observer,
+                    1.5,
+                    0.01,
+                )
+                group[i] = CornerDecision(record.stamp_s, turned, 0, record.is_new)
+    world.groups[-1].append(WallDecision(99.0, 0, 1, 0.01))
+    return world
+
+
+def test_it_agrees_with_scipy_in_values_and_covariances():
+    world = small_world()
+    estimator = Batch(ROBOTS)
+    for group in world.groups:
+        estimate = estimator.update(group)
+    column, solution = oracle(world, estimator.timeline, estimator.values())
+    assert len(column) == 2 + 10 + 3
+    assert 0.5 * solution.fun @ solution.fun == pytest.approx(estimator.graph.error(estimator.values()), rel=1e-6)
+    cov = np.linalg.inv(solution.jac.T @ solution.jac)
+    for key, i in column.items():
+        state, pose = solution.x[i : i + 3], estimate.value(key)
+        assert difference(pose, Pose2(*state)) < 1e-6
+        turn = np.eye(3)
+        turn[:2, :2] = rotation(-state[2])
+        np.testing.assert_allclose(
+            estimate.covariance(key), turn @ cov[i : i + 3, i : i + 3] @ turn.T, rtol=0.05, atol=1e-7
+        )
+    assert abs(estimate.vertex(0).bearing(estimate.vertex(1).translation()).theta()) < 0.02
+
+
+def test_the_order_of_records_of_one_instant_does_not_matter():
+    world = leapfrog(np.random.default_rng(6), legs=8)
+    rng = np.random.default_rng(0)
+    shuffled = []
+    for group in world.groups:
+        chunks = [[]]
+        for record in group:
+            if isinstance(record, Odometry):
+                chunks.append([])
+            chunks[-1].append(record)
+        for chunk in chunks:
+            odometry = [r for r in chunk if isinstance(r, Odometry)]
+            rest = [r for r in chunk if not isinstance(r, Odometry)]
+            shuffled += odometry + [rest[i] for i in rng.permutation(len(rest))]
+    assert [id(r) for r in shuffled] != [id(r) for r in world.records]
+    one, other = Batch(ROBOTS).update(world.records), Batch(ROBOTS).update(shuffled)
+    assert one.timeline.stamps == other.timeline.stamps
+    assert all(difference(one.value(key), other.value(key)) < 1e-6 for key in one.timeline.stamps)
+
+
+def test_a_world_without_noise_is_found_exactly():
+    world = leapfrog(np.random.default_rng(7), legs=20, scale=1e-9)
+    estimate = Batch(ROBOTS).update(world.records)
+    for robot in ROBOTS:
+        poses = estimate.trajectory(robot).poses
+        assert len(poses) == len(world.truth[robot].poses)
+        assert max(difference(a, b) for a, b in zip(poses, world.truth[robot].poses, strict=True)) < 1e-6
+    assert max(difference(estimate.vertex(v), corner) for v, corner in world.corners.items()) < 1e-6
+
+
+def test_an_untied_variable_is_named_before_solving():
+    estimator = Incremental(ROBOTS)
+    estimator.update(leapfrog(np.random.default_rng(8), legs=2).records)
+    values = estimator.values()
+    values.insert(pose_key(1, 99), Pose2())
+    with pytest.raises(UnderDetermined, match="robot1 pose 99 appear in no factor"):
+        solve_batch(estimator.graph, values, ROBOTS)
+
+
+def test_covariances_of_a_range_only_pose_are_refused_in_words():
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.push_back(gauge_prior(pose_key(0, 0)))
+    noise = gtsam.noiseModel.Isotropic.Sigma(1, 0.1)
+    for _ in range(3):  # enough equations to count, but all alike
+        graph.push_back(gtsam.RangeFactorPose2(pose_key(0, 0), pose_key(1, 0), 1.0, noise))
+    values.insert(pose_key(0, 0), Pose2())
+    values.insert(pose_key(1, 0), Pose2(1.0, 0.0, 0.3))
+    timeline = Incremental(ROBOTS).timeline
+    with pytest.raises(UnderDetermined, match="do not tie down what is around robot. pose 0"):
+        BatchEstimate(timeline, graph, values).covariance(pose_key(1, 0))
+
+
+def long_chain(poses):
+    graph, values, cov = gtsam.NonlinearFactorGraph(), gtsam.Values(), np.diag([0.01, 0.01, 0.001]) ** 2
+    graph.push_back(gauge_prior(pose_key(0, 0)))
+    pose = Pose2()
+    for i in range(poses):
+        values.insert(pose_key(0, i), pose)
+        if i + 1 < poses:
+            graph.push_back(odometry_leg(pose_key(0, i), pose_key(0, i + 1), Pose2(0.1, 0.0, 0.01), cov))
+            pose = pose * Pose2(0.1, 0.001, 0.01)
+    return graph, values
+
+
+@pytest.mark.parametrize("poses", [3_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_a_long_chain_is_solved_with_covariances(poses):
+    graph, values = long_chain(poses)
+    solution = solve_batch(graph, values)
+    assert graph.error(solution) < 1e-6
+    timeline = Incremental(("robot0",)).timeline
+    estimate = BatchEstimate(timeline, graph, solution)
+    heading_variance = estimate.covariance(pose_key(0, poses - 1))[2, 2]
+    assert heading_variance == pytest.approx((poses - 1) * 1e-6, rel=1e-3)  # a random walk
