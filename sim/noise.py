@@ -4,20 +4,34 @@ Odometry noise is a random walk, so it does not depend on the sampling rate. The
 those of the paper's section 4: 3 cm after 1 m, 2 degrees of drift after 1 m, 3 degrees after a full turn.
 """
 
-from dataclasses import dataclass, field
-from math import radians
+from dataclasses import dataclass, field, fields
+from math import isfinite, radians
 
 import numpy as np
 
+from coopslam.errors import BadInput
+
+
+class _Sigmas:
+    """Refuses sigmas that are negative or not finite."""
+
+    __slots__ = ()
+
+    def __post_init__(self):
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if not isfinite(value) or value < 0:
+                raise BadInput(f"{entry.name}: zero or more expected, got {value}")
+
 
 @dataclass(frozen=True, slots=True)
-class OdometryNoise:
+class OdometryNoise(_Sigmas):
     """Random walk of a robot that turns on the spot and drives straight."""
 
     translation_sigma_m: float = 0.03  # after 1 m
     drift_sigma_rad: float = radians(2.0)  # of heading, after 1 m
     rotation_sigma_rad: float = radians(3.0)  # after 360 degrees
-    floor_sigma: float = 1e-5  # m and rad; keeps a pure turn's covariance regular
+    floor_sigma: float = 1e-4  # m and rad, of each step; keeps the covariance of a pure turn regular
 
     def covariance(self, turn_rad: float, distance_m: float) -> np.ndarray:
         """(3, 3) covariance of one small step, axes of its end.
@@ -35,7 +49,7 @@ class OdometryNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class TrackerNoise:
+class TrackerNoise(_Sigmas):
     """The robot tracker: range along the line of sight, bearing across it, heading of the target."""
 
     range_sigma_m: float = 0.005  # at range zero
@@ -52,7 +66,7 @@ class TrackerNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class FinderNoise:
+class FinderNoise(_Sigmas):
     """The short-range corner finder."""
 
     position_sigma_m: float = 0.005

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopslam.records import CornerSighting, Odometry, RelativePoseFix
-from coopslam.se2 import Pose2, planar_rotation, wrap
+from coopslam.se2 import Pose2, planar_rotation
 from sim.noise import Noise
 
 
@@ -63,7 +63,3 @@ class Sensors:
         rest = np.sqrt(max(cov[2, 2] - slope**2, 0.0))
         return np.array([x * white[0], y * white[1], slope * white[1] + rest * white[2]])
 
-
-def heading_change(start_rad: float, end_rad: float) -> float:
-    """The shorter way round, rad."""
-    return float(wrap(end_rad - start_rad))

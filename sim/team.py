@@ -36,7 +36,17 @@ class TeamSettings:
     def __post_init__(self):
         for name in ("start_step_m", "speed_m_per_s", "turn_rate_rad_per_s", "odometry_period_s", "sighting_period_s"):
             if not getattr(self, name) > 0:
-                raise BadInput(f"team.{name}: more than zero expected, got {getattr(self, name)}")
+                raise BadInput(f"{name}: more than zero expected, got {getattr(self, name)}")
+        for name in ("finder_reach_m", "tracker_blind_m"):
+            if getattr(self, name) < 0:
+                raise BadInput(f"{name}: zero or more expected, got {getattr(self, name)}")
+        if self.sightings_per_leg < 1:
+            raise BadInput(f"sightings_per_leg: 1 or more expected, got {self.sightings_per_leg}")
+        if len(self.robots) != 2 or len(set(self.robots)) != 2:
+            raise BadInput(f"robots: two different names expected, got {', '.join(self.robots) or 'none'}")
+        for name in self.robots:
+            if not name.replace("_", "").replace("-", "").isalnum():
+                raise BadInput(f"robots: names of letters, digits, - and _ expected, got {name!r}")
 
 
 @dataclass(slots=True)
@@ -213,6 +223,7 @@ class Team:
         way = target - body.position
         distance = float(np.hypot(*way))
         records = []
+        self._note_truth(move.robot)  # it stood still until now
         if distance > TOLERANCE_M:
             heading = float(np.arctan2(way[1], way[0]))
             turn = float(wrap(heading - body.heading))
@@ -294,7 +305,7 @@ class Team:
         try:
             corner = self.world.flat_index(settings.start_ring, settings.start_corner)
         except IndexError as error:
-            raise BadInput(f"team.start_corner: {error}") from None
+            raise BadInput(f"start_ring, start_corner: {error}") from None
         start, end = self.world.points[corner], self.world.points[self.world.next_index[corner]]
         heading = self._corner_pose(corner).theta()
         length = np.hypot(*(end - start))

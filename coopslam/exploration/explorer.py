@@ -103,6 +103,7 @@ class Explorer:
         self.at: dict[str, int] = {}
         self.estimate: Estimate | None = None
         self._last_mover = robots[1]
+        self._angle_sigma = 0.0  # of a corner's interior angle, rad
         self._vertex_cache: dict = {}
 
     def look_at(self, estimate: Estimate) -> None:
@@ -332,6 +333,7 @@ class Explorer:
     def _new_vertex(self, sighting: CornerSighting, nearest_sq: float | None = None):
         vertex = len(self.free_map.fans)
         self.free_map.add_vertex(vertex, sighting.interior_angle_rad)
+        self._angle_sigma = max(self._angle_sigma, sighting.interior_angle_sigma_rad)
         yield Decided((CornerDecision(sighting.stamp_s, sighting, vertex, True, None, nearest_sq),))
         return vertex
 
@@ -441,26 +443,25 @@ class Explorer:
     # the end
 
     def _account(self) -> str:
-        """Check that the finished map is a triangulation of one polygon with holes; says its numbers."""
-        rings = self._rings()
-        n, holes, triangles = len(self.free_map.fans), len(rings) - 1, len(self.free_map.triangles)
-        if triangles != n + 2 * holes - 2:
-            raise Stuck(f"{triangles} triangles do not fit {n} vertices and {holes} holes")
-        return f"no gate is open; {triangles} triangles = {n} vertices + 2 x {holes} holes - 2"
+        """Check that the finished map is a triangulation of one polygon with holes; says its numbers.
 
-    def _rings(self) -> list[list[int]]:
-        """Closed walks along the walls. Raises Stuck when a vertex is not surrounded by triangles and walls."""
-        open_ends = [vertex for vertex, fan in self.free_map.fans.items() if not fan.complete]
-        if open_ends:
-            raise Stuck(f"no gate is open, but vertices {open_ends[:5]} still have unexplored space or unknown walls")
-        rings, left = [], set(self.free_map.fans)
-        while left:
-            ring = [left.pop()]
-            while (after := self.free_map.wall_leaving(ring[-1])) != ring[0]:
-                ring.append(after)
-                left.remove(after)
-            rings.append(ring)
-        return rings
+        Raises Stuck when a vertex is not surrounded by triangles and walls, when the corners of a ring of walls do
+        not add up to one full turn, when there is not one outer ring, or when the counts do not agree.
+        """
+        free_map = self.free_map
+        unfinished = [vertex for vertex, fan in free_map.fans.items() if not fan.complete]
+        if unfinished:
+            raise Stuck(f"no gate is open, but vertices {unfinished[:5]} have unexplored space or unknown walls")
+        rings = free_map.rings()
+        for ring in rings:
+            doubt = self.settings.recognition.angle_sigmas * self._angle_sigma * np.sqrt(len(ring)) + STRAIGHT_RAD
+            if abs(abs(free_map.turning(ring)) - 2 * np.pi) > doubt:
+                degrees = np.degrees(free_map.turning(ring))
+                raise Stuck(f"the corners of the walls {ring[:5]}... turn by {degrees:.1f} degrees, not by 360")
+        n, holes, triangles = len(free_map.fans), free_map.holes, len(free_map.triangles)
+        if len(rings) != holes + 1 or triangles != n + 2 * holes - 2:
+            raise Stuck(f"{triangles} triangles do not fit {n} vertices, {len(rings)} rings of walls and {holes} holes")
+        return f"no gate is open; {triangles} triangles = {n} vertices + 2 x {holes} holes - 2"
 
     # small things
 

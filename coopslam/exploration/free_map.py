@@ -7,6 +7,7 @@ depends on how well a position is known.
 """
 
 from dataclasses import dataclass, field
+from math import pi
 
 from coopslam.errors import CoopSlamError
 
@@ -92,6 +93,28 @@ class FreeMap:
     def walls(self) -> list[tuple[int, int]]:
         """All walls that were walked, (start, end) with free space on the left."""
         return [(v, fan.spokes[0]) for v, fan in self.fans.items() if fan.spokes[0] is not None]
+
+    def rings(self) -> list[list[int]]:
+        """Closed walks along the walls that are known so far, each from vertex to vertex."""
+        rings, seen = [], set()
+        for vertex in self.fans:
+            ring = []
+            while vertex is not None and vertex not in seen:
+                seen.add(vertex)
+                ring.append(vertex)
+                vertex = self.wall_leaving(vertex)
+            if ring and vertex == ring[0]:
+                rings.append(ring)
+        return rings
+
+    def turning(self, ring: list[int]) -> float:
+        """Sum of a ring's exterior angles as they were measured, rad: a full turn, backwards around a hole."""
+        return sum(pi - self.interior_angles[vertex] for vertex in ring)
+
+    @property
+    def holes(self) -> int:
+        """Obstacles whose walls are all known."""
+        return sum(self.turning(ring) < 0 for ring in self.rings())
 
     def boundary_at_end(self, gate: tuple[int, int]) -> Boundary:
         """What bounds the unexplored space of gate (a, b) at b: the next edge clockwise from b -> a."""

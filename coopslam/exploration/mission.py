@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from coopslam.errors import BadInput
 from coopslam.estimation.estimate import Estimate
 from coopslam.exploration.explorer import Decided, Explorer, Stuck
 from coopslam.exploration.free_map import MapConflict
@@ -31,6 +32,10 @@ class Budget:
 
     moves: int = 100_000
     travel_m: float = 1e7
+
+    def __post_init__(self):
+        if not (self.moves > 0 and self.travel_m > 0):
+            raise BadInput(f"a budget of {self.moves} moves and {self.travel_m:g} m: more than zero of each expected")
 
 
 @dataclass(frozen=True, slots=True)

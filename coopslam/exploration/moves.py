@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-import numpy as np
-
-from coopslam.records import Record
+from coopslam.records import CornerSighting, Record
 
 
 class Side(StrEnum):
@@ -80,11 +78,4 @@ class Step:
     @property
     def corner(self):
         """The last corner sighting of the step, or None."""
-        from coopslam.records import CornerSighting
-
         return next((r for r in reversed(self.records) if isinstance(r, CornerSighting)), None)
-
-
-def direction(vector: np.ndarray) -> float:
-    """Angle of a (2,) vector, rad."""
-    return float(np.arctan2(vector[1], vector[0]))

@@ -1,0 +1,130 @@
+"""What all figures share: the palette, sizes that suit small and large worlds, and the floor plan they draw on.
+
+Colours are those of Okabe and Ito, told apart by all common kinds of colour vision. Grey is solid, white is free.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+
+from coopslam.report.run_view import RunView
+
+BLUE, ORANGE, VERMILLION, GREEN, PURPLE, SKY = "#0072B2", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#56B4E9"
+SOLID, FREE, MAPPED = "#dcdcdc", "#ffffff", "#eaf2f8"  # obstacles and the outside; free space; found free space
+INK, MUTED, TRUE_WALL, DIAGONAL = "#222222", "#707070", "#9a9a9a", "#93a8b8"
+ROBOTS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+
+LABELLED_AT_MOST = 60  # vertices or triangles; more ids than that would cover the picture
+DENSE = 200  # vertices; beyond this figures are drawn with more pixels
+TITLE_PT, LABEL_PT, SMALL_PT = 10, 9, 7.5
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """Line widths and marker diameters in points: smaller the more there is to draw."""
+
+    wall: float
+    thin: float
+    marker: float
+
+    @classmethod
+    def for_count(cls, count: int) -> "Sizes":
+        """count: vertices or triangles in the picture."""
+        scale = float(np.clip(np.sqrt(40 / max(count, 1)), 0.28, 1.0))
+        return cls(wall=2.0 * scale, thin=max(0.9 * scale, 0.35), marker=5.5 * scale)
+
+
+def extent(view: RunView) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner, (2,) each, of the world: of the truth, or else of what was mapped and driven."""
+    points = list(view.true_rings) or [np.reshape(list(view.vertices.values()), (-1, 2))]
+    if not view.true_rings:
+        points += [path for path in view.paths.get("smoothed", {}).values()]
+    points = np.vstack([np.zeros((1, 2)), *points]) if not view.true_rings else np.vstack(points)
+    low, high = points.min(axis=0), points.max(axis=0)
+    least = max(float((high - low).max()), 1e-3) * 0.02
+    return low - least, high + least
+
+
+def plan_figure(view: RunView, title: str, panels: int = 1) -> tuple[Figure, list[Axes]]:
+    """A figure of the world's shape with equal, labelled axes in metres; `panels` of them side by side or stacked.
+
+    Text that comes from outside goes through `plain`.
+    """
+    low, high = extent(view)
+    width, height = high - low
+    wide = width > 1.6 * height
+    rows, columns = (panels, 1) if wide else (int(np.ceil(panels / 2)), min(panels, 2))
+    panel_width = 9.0 / columns
+    panel_height = float(np.clip(panel_width * height / width, 2.0, 8.5))
+    figure = Figure(figsize=(9.0, panel_height * rows + 1.3), layout="constrained")
+    figure.suptitle(title, fontsize=TITLE_PT + 1)
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    for spare in grid.flat[panels:]:
+        spare.remove()
+    for axes in grid.flat[:panels]:
+        axes.set_facecolor(SOLID)
+        axes.set_aspect("equal")
+        axes.set_xlim(low[0], high[0])
+        axes.set_ylim(low[1], high[1])
+        tidy(axes, "x (m)", "y (m)")
+        axes.label_outer()
+    return figure, list(grid.flat[:panels])
+
+
+def tidy(axes: Axes, x: str, y: str, title: str = "") -> None:
+    """Axis names with units, small quiet ticks."""
+    axes.set_xlabel(x, fontsize=LABEL_PT)
+    axes.set_ylabel(y, fontsize=LABEL_PT)
+    axes.set_title(title, fontsize=TITLE_PT)
+    axes.tick_params(labelsize=LABEL_PT - 1, color=MUTED)
+    for spine in axes.spines.values():
+        spine.set_color(TRUE_WALL)
+
+
+def legend_below(figure: Figure, handles: list, columns: int = 4) -> None:
+    """One legend for the figure, outside of the axes so that it covers nothing."""
+    if handles:
+        figure.legend(
+            handles=handles,
+            loc="outside lower center",
+            ncols=min(columns, len(handles)),
+            fontsize=LABEL_PT - 0.5,
+            frameon=False,
+            handlelength=2.4,
+        )
+
+
+def draw_floor(axes: Axes, view: RunView, outline: bool = True) -> None:
+    """The true world, white on grey; without truth the triangles found are what is known to be free."""
+    if not view.true_rings:
+        draw_triangles(axes, view, FREE)
+        return
+    edge = TRUE_WALL if outline else "none"
+    width = 2.0 * Sizes.for_count(sum(map(len, view.true_rings))).wall
+    outer, *holes = view.true_rings
+    axes.add_patch(Polygon(outer, facecolor=FREE, edgecolor=edge, linewidth=width, zorder=0.5, joinstyle="round"))
+    for hole in holes:
+        axes.add_patch(Polygon(hole, facecolor=SOLID, edgecolor=edge, linewidth=width, zorder=1.2, joinstyle="round"))
+
+
+def draw_triangles(axes: Axes, view: RunView, face: str, edge: str = "face", width: float = 0.5) -> None:
+    """All triangles found."""
+    corners = [[view.vertices[v] for v in triangle] for triangle in view.triangles.values()]
+    axes.add_collection(PolyCollection(corners, facecolors=face, edgecolors=edge, linewidths=width, zorder=1))
+
+
+def draw_edges(axes: Axes, view: RunView, edges: list[tuple[int, int]], **style) -> None:
+    """Straight lines between mapped vertices."""
+    lines = [[view.vertices[a], view.vertices[b]] for a, b in edges]
+    axes.add_collection(LineCollection(lines, capstyle=style.pop("capstyle", "round"), **style))
+
+
+def plain(text: object, at_most: int = 60) -> str:
+    """Text of unknown origin for a figure: no mathematics in dollar signs, one line, not endless."""
+    text = " ".join(str(text).split())
+    text = text if len(text) <= at_most else text[: at_most - 1] + "…"
+    return text.replace("$", r"\$")

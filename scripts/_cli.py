@@ -1,0 +1,28 @@
+"""What all scripts share: one line for what the user can mend, and the exit code that goes with it."""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from typing import NoReturn
+
+from coopslam.errors import CoopSlamError
+
+
+class OneLineParser(argparse.ArgumentParser):
+    """Says what is wrong with an argument in one line; exit code 2."""
+
+    def error(self, message: str) -> NoReturn:
+        print(f"{self.prog}: {message} (see --help)", file=sys.stderr)
+        raise SystemExit(2)
+
+
+def run(main: Callable[[Sequence[str] | None], int], arguments: Sequence[str] | None = None) -> int:
+    """The exit code of `main`; errors of ours become a line, unknown ones keep their traceback."""
+    try:
+        return main(arguments)
+    except CoopSlamError as error:
+        print(f"{type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("interrupted; what was recorded so far is in the output directory", file=sys.stderr)
+        return 130

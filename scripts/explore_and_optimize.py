@@ -1,0 +1,156 @@
+"""Two robots explore a polygonal world that they do not know; GTSAM smooths what they sense; out comes a map."""
+
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from _cli import OneLineParser, run
+from _exploration import DRIVERS, Exploration, ExplorationSettings, draw, explore
+
+from coopslam.errors import BadInput
+from coopslam.exploration.mission import Progress
+from coopslam.io.toml import from_mapping, load_toml
+from coopslam.report.run_directory import prepare_run_directory
+from sim.noise import PRESETS
+from sim.world import load_world, world_names
+
+PLAIN_LINE_EVERY_S = 2.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse, explore, draw, print. Returns the exit code."""
+    options = _parser().parse_args(arguments)
+    settings = _settings(options)
+    world = load_world(settings.world)
+    out = options.out or Path("runs") / f"{world.name}-{settings.noise}-{settings.seed}"
+    prepare_run_directory(out, options.force or options.out is None)
+    began = time.perf_counter()
+    with ProgressDisplay(world.name) as display:
+        finished = explore(settings, out, display.show)
+    draw(finished, out)
+    _print_result(finished, out, time.perf_counter() - began)
+    if finished.mission.outcome != "complete":
+        print(f"exploration {finished.mission.outcome}: {finished.mission.reason}", file=sys.stderr)
+        return 3
+    return 0
+
+
+def _parser() -> OneLineParser:
+    parser = OneLineParser(prog="explore_and_optimize.py", description=__doc__)
+    parser.add_argument(
+        "--world",
+        metavar="W",
+        help=f"a GeoJSON file (one Polygon, holes allowed, metres) or one of: {', '.join(world_names())}; "
+        f"default: {ExplorationSettings().world}",
+    )
+    parser.add_argument("--config", metavar="C.toml", type=Path, help="settings from a TOML file; options go before it")
+    parser.add_argument("--seed", metavar="N", type=int, help="of all random numbers; default: 0")
+    parser.add_argument(
+        "--noise",
+        metavar="P",
+        choices=[*PRESETS],
+        help="none, typical (odometry: 3 cm after 1 m, 2 degrees of drift after 1 m, 3 degrees after a turn; default) "
+        "or legged (odometry nearly absent)",
+    )
+    parser.add_argument("--estimator", metavar="E", choices=[*DRIVERS], help="that steers: incremental (default) or batch")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="run directory; default: runs/WORLD-NOISE-SEED, overwritten")
+    parser.add_argument("--figures", metavar="F", choices=["none", "static", "all"], help="none, static (default) or all")
+    parser.add_argument("--max-moves", metavar="N", type=int, help="stop with outcome budget after so many moves")
+    parser.add_argument("--max-travel", metavar="M", type=float, help="stop with outcome budget after so many metres, all robots")
+    parser.add_argument("--force", action="store_true", help="overwrite a run in --out")
+    return parser
+
+
+def _settings(options) -> ExplorationSettings:
+    """Config file first, then options. Raises BadInput."""
+    settings = ExplorationSettings()
+    if options.config is not None:
+        settings = from_mapping(ExplorationSettings, load_toml(options.config), str(options.config))
+    given = {name: getattr(options, name) for name in ("world", "seed", "noise", "estimator", "figures")}
+    settings = replace(settings, **{name: value for name, value in given.items() if value is not None})
+    budget = {"moves": options.max_moves, "travel_m": options.max_travel}
+    budget = {name: value for name, value in budget.items() if value is not None}
+    settings = replace(settings, budget=replace(settings.budget, **budget))
+    if settings.seed < 0:
+        raise BadInput(f"seed: zero or more expected, got {settings.seed}")
+    return settings
+
+
+class ProgressDisplay:
+    """A live table on a terminal, plain lines elsewhere."""
+
+    def __init__(self, world: str):
+        self._world = world
+        self._console = Console()
+        self._live = None
+        if self._console.is_terminal and not os.environ.get("CI"):
+            self._live = Live(console=self._console, refresh_per_second=8, transient=True)
+        self._next_line_s = time.monotonic() + PLAIN_LINE_EVERY_S
+
+    def __enter__(self) -> "ProgressDisplay":
+        if self._live:
+            self._live.__enter__()
+        else:
+            print(f"exploring {self._world}", flush=True)
+        return self
+
+    def __exit__(self, *error) -> None:
+        if self._live:
+            self._live.__exit__(*error)
+
+    def show(self, progress: Progress) -> None:
+        """Show where the mission stands."""
+        if self._live:
+            self._live.update(_table(self._world, progress))
+        elif time.monotonic() >= self._next_line_s:
+            print(_line(progress), flush=True)
+            self._next_line_s = time.monotonic() + PLAIN_LINE_EVERY_S
+
+
+def _line(progress: Progress) -> str:
+    sigma = 100 * max(progress.position_sigma_m.values())
+    return (
+        f"{progress.triangles} triangles, {progress.open_gates} open gates, {progress.role_exchanges} role exchanges, "
+        f"{progress.travel_m:.1f} m, position sigma {sigma:.1f} cm"
+    )
+
+
+def _table(world: str, progress: Progress) -> Table:
+    table = Table(title=f"exploring {world}", show_header=False)
+    table.add_row("triangles", str(progress.triangles))
+    table.add_row("open gates", str(progress.open_gates))
+    table.add_row("role exchanges", str(progress.role_exchanges))
+    table.add_row("travelled", f"{progress.travel_m:.1f} m")
+    for robot, sigma in progress.position_sigma_m.items():
+        table.add_row(f"position sigma of {robot}", f"{100 * sigma:.1f} cm")
+    return table
+
+
+def _print_result(finished: Exploration, out: Path, seconds: float) -> None:
+    summary = finished.summary
+    print(f"{summary['outcome']}: {summary['outcome_reason']}")
+    print(
+        f"{summary['vertices']} vertices, {summary['holes']} holes, {summary['triangles']} triangles "
+        f"(expected {summary['triangles_expected']}), covered {summary['covered_fraction']:.6f}, "
+        f"overlap {summary['overlap_fraction']:.1e}"
+    )
+    print(
+        f"{sum(summary['travel_m'].values()):.1f} m travelled, {summary['role_exchanges']} role exchanges, "
+        f"vertex rmse {100 * summary['vertex_rmse_m']:.2f} cm, vertex NEES {summary['vertex_nees_mean']:.2f} (2 expected)"
+    )
+    for name, scores in summary["estimators"].items():
+        print(f"{name:>14}: ATE {100 * scores['ate_rmse_m']:7.2f} cm, pose NEES {scores['nees_mean']:.2f} (3 expected)")
+    print(f"{out / 'report.html'} and the run directory {out} written in {seconds:.1f} s")
+
+
+if __name__ == "__main__":
+    sys.exit(run(main))
