@@ -5,6 +5,7 @@ counter-clockwise, holes run clockwise. Exactly straight (180 degree) vertices a
 """
 
 import json
+import os
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -52,12 +53,12 @@ class World:
     @cached_property
     def next_index(self) -> np.ndarray:
         """(n,) flat index of the corner where the wall that leaves each corner ends."""
-        return _frozen(np.concatenate([o + np.roll(np.arange(len(r)), -1) for o, r in zip(self.offset, self.rings)]))
+        return self._neighbours(1)
 
     @cached_property
     def prev_index(self) -> np.ndarray:
         """(n,) flat index of the corner where the wall that arrives at each corner starts."""
-        return _frozen(np.concatenate([o + np.roll(np.arange(len(r)), 1) for o, r in zip(self.offset, self.rings)]))
+        return self._neighbours(-1)
 
     @cached_property
     def interior_angles(self) -> np.ndarray:
@@ -121,6 +122,11 @@ class World:
             "geometry": {"type": "Polygon", "coordinates": coordinates},
         }
 
+    def _neighbours(self, step: int) -> np.ndarray:
+        """(n,) flat index of the corner `step` places further along each corner's ring."""
+        flat = np.split(np.arange(self.n), self.offset[1:])
+        return _frozen(np.concatenate([np.roll(indices, -step) for indices in flat]))
+
 
 def world_names() -> list[str]:
     """Names of the worlds in the repository."""
@@ -135,10 +141,12 @@ def load_world(path_or_name: str | Path) -> World:
     text = str(path_or_name)
     if text in world_names():
         path = WORLDS_DIR / f"{text}.geojson"
-    elif Path(text).suffix or Path(text).name != text or Path(text).exists():
+    elif Path(text).suffix or Path(text).name != text or os.path.exists(text):
         path = Path(text)
     else:
-        raise BadInput(f"no world {text!r}; expected a path to a GeoJSON file or one of: {', '.join(world_names())}")
+        raise BadInput(
+            f"no world {_short(text)}; expected a path to a GeoJSON file or one of: {', '.join(world_names())}"
+        )
     return world_from_geojson(_read_json(path), where=str(path), default_name=path.stem)
 
 

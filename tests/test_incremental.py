@@ -6,7 +6,7 @@ from coopslam.errors import BadInput, UnderDetermined
 from coopslam.estimation.batch import BatchEstimate, solve_batch
 from coopslam.estimation.incremental import Incremental
 from coopslam.evaluation.consistency import chi_square_band, pose_nees, position_nees
-from coopslam.records import Odometry, RelativePoseFix
+from coopslam.records import CornerSighting, Odometry, RelativePoseFix
 from coopslam.se2 import Pose2, chain_covariance, position
 
 
@@ -117,3 +117,33 @@ def test_its_covariances_are_honest_over_many_runs():
     for scores, dof in ((pose_scores, 3), (vertex_scores, 2)):
         low, high = chi_square_band(dof, len(scores), confidence=0.999)
         assert low < np.mean(scores) < high
+
+
+@pytest.mark.slow
+def test_a_chain_of_a_hundred_thousand_poses_in_one_update_has_covariances():
+    """iSAM2's tree is as deep as the chain; on a common stack its joint covariances end the process."""
+    cov, count = np.diag([0.01, 0.01, 0.001]) ** 2, 100_000
+    records = []
+    for i in range(count):
+        records.append(Odometry(i, i + 1.0, "robot0", Pose2(0.1, 0.0, 0.01), cov))
+        records.append(CornerSighting(i + 1.0, "robot0", Pose2(), cov, 1.0, 0.1))
+    estimator = Incremental(("robot0",))
+    estimate = estimator.update(records)
+    first, last = estimator.timeline.tracks["robot0"].keys[1], estimate.pose_key("robot0")
+    joint = estimate.joint_covariance([first, last])
+    assert joint[2, 5] == pytest.approx(1e-6, rel=1e-3)  # the heading error of the first step is in all others
+    assert joint[5, 5] == pytest.approx(count * 1e-6, rel=1e-3)
+
+
+def test_a_pure_turn_beside_coarse_measurements_is_solved():
+    """Sigmas of 1e-6 m and of 0.1 m meet at one variable: far more than 4096 apart."""
+    estimator = Incremental(ROBOTS)
+    coarse = np.diag([0.1, 0.1, 0.1]) ** 2
+    estimator.update([RelativePoseFix(0.0, *ROBOTS, Pose2(1.0, 2.0, 0.5), coarse)])
+    turn = Odometry(0.0, 1.0, "robot1", Pose2(0.0, 0.0, 1.0), np.diag([0.0, 0.0, 0.1]) ** 2)
+    estimate = estimator.update([turn, RelativePoseFix(1.0, *ROBOTS, Pose2(1.0, 2.0, 1.5), coarse)])
+    assert difference(estimate.pose("robot1"), Pose2(1.0, 2.0, 1.5)) < 1e-6
+    batch = BatchEstimate(estimator.timeline, estimator.graph, estimator.values())
+    key = estimate.pose_key("robot1")
+    np.testing.assert_allclose(estimate.covariance(key)[:2, :2], np.eye(2) * 0.01 / 2, rtol=0.01, atol=1e-6)
+    np.testing.assert_allclose(estimate.covariance(key), batch.covariance(key), rtol=1e-4, atol=1e-7)

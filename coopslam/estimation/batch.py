@@ -26,6 +26,9 @@ def solve_batch(graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, robots
     graph_check.check(graph, initial, robots)
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setOrderingType("METIS")
+    parameters.setLinearSolverType(
+        "MULTIFRONTAL_QR"
+    )  # Cholesky takes a sigma 4 096 times another for an open direction
     parameters.setRelativeErrorTol(RELATIVE_TOLERANCE)
     parameters.setAbsoluteErrorTol(ABSOLUTE_TOLERANCE)
     parameters.setMaxIterations(MAX_ITERATIONS)

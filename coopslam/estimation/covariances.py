@@ -13,19 +13,24 @@ from coopslam.estimation.graph_check import in_words
 
 
 class Covariances:
-    """The linearized graph, eliminated once; raises UnderDetermined when that is not possible."""
+    """The linearized graph, eliminated once. Its methods raise UnderDetermined where nothing ties a variable down."""
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, robots: Sequence[str] = ()):
         linear = graph.linearize(values)
-        try:
-            self._tree = linear.eliminateMultifrontal(gtsam.Ordering.MetisGaussianFactorGraph(linear))
-        except RuntimeError as error:
-            raise in_words(error, robots) from error
+        ordering = gtsam.Ordering.MetisGaussianFactorGraph(linear)
+        self._robots = robots
+        self._tree = self._told(linear.eliminateMultifrontal, ordering, gtsam.EliminateQR)
 
     def marginal(self, key: int) -> np.ndarray:
         """(d, d) covariance of a variable in its own axes."""
-        return self._tree.marginalCovariance(key)
+        return self._told(self._tree.marginalCovariance, key)
 
     def joint(self, keys: Sequence[int]) -> np.ndarray:
         """Joint covariance of different variables, blocks in the order asked, each in its own axes."""
-        return self._tree.jointMarginalCovariance(list(keys)).fullMatrix()
+        return self._told(self._tree.jointMarginalCovariance, list(keys)).fullMatrix()
+
+    def _told(self, function, *arguments):
+        try:
+            return function(*arguments)
+        except RuntimeError as error:
+            raise in_words(error, self._robots) from error

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from coopslam.estimation import deep_stack
 from coopslam.estimation.covariances import Covariances
 from coopslam.estimation.estimate import Estimate
 from coopslam.estimation.graph_check import in_words
@@ -53,11 +54,15 @@ class Incremental:
     def _smooth(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         if graph.size() == 0:
             return
+        self._ask(self._isam.update, graph, values)
+        for _ in range(self.settings.rounds):
+            if self._ask(self._isam.update).getVariablesRelinearized() == 0:
+                break
+
+    def _ask(self, function, *arguments):
+        """Call iSAM2 with room to recurse; its complaint about an open direction names the variable."""
         try:
-            self._isam.update(graph, values)
-            for _ in range(self.settings.rounds):
-                if self._isam.update().getVariablesRelinearized() == 0:
-                    break
+            return deep_stack.call(function, *arguments, variables=len(self.timeline.stamps))
         except RuntimeError as error:
             raise in_words(error, self.timeline.robots) from error
 
@@ -79,11 +84,11 @@ class IncrementalEstimate(Estimate):
 
     def covariance(self, key: int) -> np.ndarray:
         if key not in self._covariance_of:
-            self._covariance_of[key] = self._owner._isam.marginalCovariance(key)
+            self._covariance_of[key] = self._owner._ask(self._owner._isam.marginalCovariance, key)
         return self._covariance_of[key]
 
     def joint_covariance(self, keys: Sequence[int]) -> np.ndarray:
-        return self._owner._isam.jointMarginalCovariance(list(keys)).fullMatrix()
+        return self._owner._ask(self._owner._isam.jointMarginalCovariance, list(keys)).fullMatrix()
 
     def _covariances(self, keys: Sequence[int]) -> np.ndarray:
         """iSAM2's tree is as deep as the run is long; a balanced one answers for many poses faster."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from coopslam.errors import CoopSlamError
 from coopslam.estimation.estimate import Estimate
-from coopslam.exploration.free_map import Boundary, FreeMap
+from coopslam.exploration.free_map import Boundary, FreeMap, Sector
 from coopslam.exploration.moves import (
     DriveAway,
     FollowWall,
@@ -272,9 +272,10 @@ class Explorer:
                 self.at[sweep.mover] = sweep.pivot
                 yield from self._cross(sweep.mover, sweep.corner)
                 return False
-            if not self._may_be(step.corner, sweep.corner):
+            passed = self._explored_corner(sweep, step.corner)
+            if passed is None:
                 return (yield from self._meet_corner(sweep, step.corner))
-            yield from self._know_again(step.corner, sweep.corner)
+            yield from self._know_again(step.corner, passed)
 
     def _meet_corner(self, sweep: Sweep, sighting: CornerSighting, walked_wall: bool = False):
         """The mover stands in the apex: decide which vertex that is and add the triangle."""
@@ -304,31 +305,54 @@ class Explorer:
         """(vertex, sector): a known vertex and the sector that the triangle fills there, or a new one and None."""
         limits = self.settings.recognition
         ranked = []
-        for vertex in self._candidates(sweep, sighting):
-            if not interior_angle_agrees(sighting, self.free_map.interior_angles[vertex], limits.angle_sigmas):
-                continue
-            sector, miss = fitting_sector(
-                self.free_map, self.estimate, vertex, sweep.gate, wall_at_end, wall_at_start
-            )
-            if sector is not None and miss <= limits.sector_slack_rad:
-                ranked.append((corner_distance_sq(self.estimate, sighting, vertex), vertex, sector))
+        ends = {vertex for gate in self.free_map.gates for vertex in gate}
+        for vertex in self._near(sighting, ends):
+            if interior_angle_agrees(sighting, self.free_map.interior_angles[vertex], limits.angle_sigmas):
+                sector = self._fit(sweep, vertex, wall_at_end, wall_at_start)
+                if sector is not None:
+                    ranked.append((corner_distance_sq(self.estimate, sighting, vertex), vertex, sector))
         ranked.sort(key=lambda entry: entry[0])
         if not ranked or ranked[0][0] > limits.distance_sq_max:
             nearest = ranked[0][0] if ranked else None
             return (yield from self._new_vertex(sighting, nearest)), None
         runner_up = ranked[1][0] if len(ranked) > 1 else None
         distance_sq, vertex, sector = ranked[0]
-        yield Decided((CornerDecision(sighting.stamp_s, sighting, vertex, False, distance_sq, runner_up, "end of an open gate"),))
+        known = CornerDecision(sighting.stamp_s, sighting, vertex, False, distance_sq, runner_up, "end of an open gate")
+        yield Decided((known,))
         return vertex, sector.index
 
-    def _candidates(self, sweep: Sweep, sighting: CornerSighting) -> list[int]:
-        """Ends of open gates near a sighting: a known corner with unexplored space next to it ends an open gate."""
+    def _explored_corner(self, sweep: Sweep, sighting: CornerSighting) -> int | None:
+        """The known vertex at a sighting that cannot be the apex: nothing unexplored there faces the gate."""
+        for vertex in self._near(sighting, self.free_map.fans):
+            if vertex != sweep.pivot and self._may_be(sighting, vertex) and self._fit(sweep, vertex, False, False) is None:
+                return vertex
+        return None
+
+    def _fit(self, sweep: Sweep, vertex: int, wall_at_end: bool, wall_at_start: bool) -> Sector | None:
+        """The unexplored sector of a known vertex into which the triangle behind the gate fits, if any."""
+        if vertex in sweep.gate:
+            return None
+        sector, miss = fitting_sector(self.free_map, self.estimate, vertex, sweep.gate, wall_at_end, wall_at_start)
+        return sector if miss <= self._sector_slack(vertex, sweep.gate) else None
+
+    def _sector_slack(self, vertex: int, others) -> float:
+        """How far a direction at a vertex may lie outside a sector and still be taken for inside, rad."""
+        corner = self.estimate.vertex_belief(vertex)
+        across = max(
+            (corner.position_sigma_m + self.estimate.vertex_belief(other).position_sigma_m)
+            / max(np.hypot(*(self._position(other) - self._position(vertex))), SAME_PLACE_M)
+            for other in others
+        )
+        doubt = self.settings.angle_sigmas * (across + np.sqrt(corner.cov_body[2, 2]) + self._angle_sigma)
+        return min(doubt + STRAIGHT_RAD, self.settings.recognition.sector_slack_rad)
+
+    def _near(self, sighting: CornerSighting, vertices) -> list[int]:
+        """Those of some vertices that may be where the sighting is."""
         limits = self.settings.recognition
         belief = self.estimate.belief(sighting.observer)
         here = position(belief.T_world_body * sighting.T_observer_corner)
         reach = max(limits.search_radius_m, limits.search_sigmas * belief.position_sigma_m)
-        ends = {vertex for gate in self.free_map.gates for vertex in gate} - set(sweep.gate)
-        return [vertex for vertex in sorted(ends) if np.hypot(*(self._position(vertex) - here)) <= reach]
+        return [vertex for vertex in sorted(vertices) if np.hypot(*(self._position(vertex) - here)) <= reach]
 
     def _new_vertex(self, sighting: CornerSighting, nearest_sq: float | None = None):
         vertex = len(self.free_map.fans)

@@ -175,6 +175,10 @@ class FreeMap:
             self._check_wall(b, apex)
         if wall_at_start:
             self._check_wall(apex, a)
+        for u, v in ((b, apex), (apex, a)):
+            known = self.triangles_at(u, v)
+            if known and (u, v) not in self.gates:
+                raise MapConflict(f"triangle ({a}, {b}, {apex}) would lie on triangle {known[-1]}")
         triangle = len(self.triangles)
         near_a, near_b, near_c = self.fans[a], self.fans[b], self.fans[apex]
         k_a = near_a.spoke_to(b, unexplored_after=True)

@@ -21,6 +21,9 @@ ROBOTS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
 LABELLED_AT_MOST = 60  # vertices or triangles; more ids than that would cover the picture
 DENSE = 200  # vertices; beyond this figures are drawn with more pixels
 TITLE_PT, LABEL_PT, SMALL_PT = 10, 9, 7.5
+WIDTH_IN = 9.0  # of every figure
+TALLEST_IN = 9.0  # of a panel
+SLIMMEST = 5.0  # ratio of a panel's sides
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,26 +48,31 @@ def extent(view: RunView) -> tuple[np.ndarray, np.ndarray]:
         points += [path for path in view.paths.get("smoothed", {}).values()]
     points = np.vstack([np.zeros((1, 2)), *points]) if not view.true_rings else np.vstack(points)
     low, high = points.min(axis=0), points.max(axis=0)
-    least = max(float((high - low).max()), 1e-3) * 0.02
-    return low - least, high + least
+    margin = 0.05 * max(float((high - low).max()), 1e-3)
+    return low - margin, high + margin
 
 
-def plan_figure(view: RunView, title: str, panels: int = 1) -> tuple[Figure, list[Axes]]:
+def plan_figure(
+    title: str, limits: tuple[np.ndarray, np.ndarray], panels: int = 1, beside_in: float = 0.0
+) -> tuple[Figure, list[Axes]]:
     """A figure of the world's shape with equal, labelled axes in metres; `panels` of them side by side or stacked.
 
-    Text that comes from outside goes through `plain`.
+    limits: lower and upper corner of the picture.  beside_in: width to leave for a colour bar, inches.
     """
-    low, high = extent(view)
+    low, high = (np.array(corner, dtype=float) for corner in limits)
+    spare = np.maximum((high - low).max() / SLIMMEST - (high - low), 0.0) / 2  # a long corridor gets some surroundings
+    low, high = low - spare, high + spare
     width, height = high - low
-    wide = width > 1.6 * height
-    rows, columns = (panels, 1) if wide else (int(np.ceil(panels / 2)), min(panels, 2))
-    panel_width = 9.0 / columns
-    panel_height = float(np.clip(panel_width * height / width, 2.0, 8.5))
-    figure = Figure(figsize=(9.0, panel_height * rows + 1.3), layout="constrained")
+    columns = 1 if panels == 1 or width > 1.6 * height else 2
+    rows = -(-panels // columns)
+    panel_width = (WIDTH_IN - 0.55 - beside_in) / columns - 0.1
+    panel_height = min(panel_width * height / width, TALLEST_IN)
+    headings_in = 0.25 * (rows - 1)
+    figure = Figure(figsize=(WIDTH_IN, panel_height * rows + headings_in + 1.35), layout="constrained")
     figure.suptitle(title, fontsize=TITLE_PT + 1)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    for spare in grid.flat[panels:]:
-        spare.remove()
+    for unused in grid.flat[panels:]:
+        unused.remove()
     for axes in grid.flat[:panels]:
         axes.set_facecolor(SOLID)
         axes.set_aspect("equal")
@@ -99,12 +107,15 @@ def legend_below(figure: Figure, handles: list, columns: int = 4) -> None:
 
 
 def draw_floor(axes: Axes, view: RunView, outline: bool = True) -> None:
-    """The true world, white on grey; without truth the triangles found are what is known to be free."""
+    """The true world, white on grey; without truth the triangles found are what is known to be free.
+
+    outline: draw the true walls as such, to be compared with the mapped ones.
+    """
     if not view.true_rings:
         draw_triangles(axes, view, FREE)
         return
-    edge = TRUE_WALL if outline else "none"
-    width = 2.0 * Sizes.for_count(sum(map(len, view.true_rings))).wall
+    edge = TRUE_WALL if outline else SOLID
+    width = 1.7 * Sizes.for_count(sum(map(len, view.true_rings))).wall if outline else 0.5
     outer, *holes = view.true_rings
     axes.add_patch(Polygon(outer, facecolor=FREE, edgecolor=edge, linewidth=width, zorder=0.5, joinstyle="round"))
     for hole in holes:

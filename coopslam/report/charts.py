@@ -15,11 +15,13 @@ NEES_SHOWN = 14.0  # right end of the histogram; chi-square(2) exceeds it once i
 
 def draw_uncertainty(view: RunView) -> Figure:
     """Position sigma of each robot against role exchanges and against the distance the team has travelled."""
-    figure = Figure(figsize=(9.0, 3.9), layout="constrained")
+    figure = Figure(figsize=(canvas.WIDTH_IN, 3.9), layout="constrained")
     figure.suptitle(f"{plain(view.name)}: uncertainty of the robots' positions", fontsize=canvas.TITLE_PT + 1)
     by_exchange, by_distance = figure.subplots(1, 2, sharey=True)
-    canvas.tidy(by_exchange, "role exchanges", "position sigma (cm)", "against role exchanges")
-    canvas.tidy(by_distance, "distance travelled by the team (m)", "", "against distance")
+    canvas.tidy(
+        by_exchange, "role exchanges", "position sigma (cm)", "at each exchange; bars: range since the one before"
+    )
+    canvas.tidy(by_distance, "distance travelled by the team (m)", "", "after each move")
     if not view.history:
         for axes in (by_exchange, by_distance):
             axes.text(0.5, 0.5, "no moves were made", transform=axes.transAxes, ha="center", color=MUTED)
@@ -30,7 +32,7 @@ def draw_uncertainty(view: RunView) -> Figure:
     for k, robot in enumerate(view.history[-1].position_sigma_m):
         sigma_cm = 100 * np.array([point.position_sigma_m.get(robot, np.nan) for point in view.history])
         style = {"color": ROBOTS[k % len(ROBOTS)], "linewidth": 1.6, "zorder": 3 - 0.1 * k}
-        handles += _by_exchange(by_exchange, exchanges, sigma_cm, style | {"label": plain(robot)})
+        handles += _by_exchange(by_exchange, exchanges + 0.06 * k, sigma_cm, style | {"label": plain(robot)})
         marks = {"marker": ".", "markersize": 5} if len(travel_m) <= 150 else {"linewidth": 0.8}
         by_distance.plot(travel_m, sigma_cm, **style | marks)
     by_exchange.set_ylim(bottom=0)
@@ -51,14 +53,19 @@ def _by_exchange(axes: Axes, exchanges: np.ndarray, sigma_cm: np.ndarray, style:
     counts, first = np.unique(exchanges, return_index=True)
     last = np.append(first[1:], len(exchanges)) - 1
     low, high = np.fmin.reduceat(sigma_cm, first), np.fmax.reduceat(sigma_cm, first)
-    axes.fill_between(counts, low, high, color=style["color"], alpha=0.15, linewidth=0, zorder=1)
-    marks = {"marker": "o", "markersize": 4} if len(counts) <= 60 else {"linewidth": 0.9}
-    return axes.plot(counts, sigma_cm[last], **style | marks)
+    few = len(counts) <= 60
+    if few:
+        axes.vlines(counts, low, high, color=style["color"], alpha=0.25, linewidth=5, zorder=1)
+    else:
+        axes.fill_between(counts, low, high, color=style["color"], alpha=0.25, linewidth=0.3, zorder=1)
+    return axes.plot(
+        counts, sigma_cm[last], **style | ({"marker": "o", "markersize": 4} if few else {"linewidth": 0.9})
+    )
 
 
 def draw_vertex_errors(view: RunView) -> Figure:
     """Error of each vertex beside its 3 sigma, and the distribution of NEES; in the frame of the estimate."""
-    figure = Figure(figsize=(9.0, 3.9), layout="constrained")
+    figure = Figure(figsize=(canvas.WIDTH_IN, 3.9), layout="constrained")
     figure.suptitle(f"{plain(view.name)}: map vertices against the truth", fontsize=canvas.TITLE_PT + 1)
     sorted_errors, histogram = figure.subplots(1, 2)
     _, error_m, sigma_m, nees = vertex_errors(view)
@@ -102,9 +109,8 @@ def _draw_sorted(axes: Axes, error_cm: np.ndarray, bound_cm: np.ndarray) -> None
 
 def _draw_nees(axes: Axes, nees: np.ndarray) -> None:
     """Histogram as a density over all vertices; those beyond the right end are counted in words."""
-    width = float(np.clip(20 / max(len(nees), 1), 0.5, 2.0))
-    edges = np.arange(0.0, NEES_SHOWN + width / 2, width)
-    counts, edges = np.histogram(nees, edges)
+    width = 2.0 if len(nees) < 20 else 1.0 if len(nees) < 100 else 0.5
+    counts, edges = np.histogram(nees, np.arange(0.0, NEES_SHOWN + width / 2, width))
     density = counts / max(len(nees), 1) / np.diff(edges)
     grid = np.linspace(0, NEES_SHOWN, 200)
     axes.stairs(density, edges, fill=True, color=BLUE, alpha=0.35, label=f"{len(nees)} vertices")
@@ -115,6 +121,6 @@ def _draw_nees(axes: Axes, nees: np.ndarray) -> None:
         axes.plot([], [], " ", label=f"beyond {NEES_SHOWN:g}: {beyond} (largest {nees.max():.0f})")
     axes.set_xlim(0, NEES_SHOWN)
     axes.set_ylim(0, 1.1 * max(0.5, density.max(initial=0)))
-    axes.legend(loc="upper right", fontsize=canvas.LABEL_PT - 1, frameon=False)
+    axes.legend(loc="upper right", fontsize=canvas.LABEL_PT - 1, framealpha=1.0, edgecolor="white")
     mean = f"{nees.mean():.2f}" if len(nees) else "—"
     canvas.tidy(axes, "NEES of a vertex", "density", f"normalized errors squared: mean {mean}, expected 2")

@@ -17,8 +17,11 @@ from coopslam.report.run_view import RunView
 
 # name in RunView.paths -> label, and style of a line; the accurate ones lie inside the wider ones
 PATH_STYLES = {
-    "true": ("true", {"color": "#b5b5b5", "linewidth": 5.0, "zorder": 2}),
-    "dead-reckoning": ("odometry alone", {"color": VERMILLION, "linewidth": 1.4, "linestyle": (0, (4, 2)), "zorder": 3}),
+    "true": ("true", {"color": "#9c9c9c", "linewidth": 5.0, "zorder": 2}),
+    "dead-reckoning": (
+        "odometry alone",
+        {"color": VERMILLION, "linewidth": 1.4, "linestyle": (0, (4, 2)), "zorder": 3},
+    ),
     "causal": ("as known at each moment (causal)", {"color": ORANGE, "linewidth": 2.4, "zorder": 4}),
     "smoothed": ("smoothed", {"color": BLUE, "linewidth": 1.0, "zorder": 5}),
 }
@@ -47,7 +50,7 @@ def draw_all(view: RunView, directory: Path) -> list[Path]:
 def draw_map(view: RunView) -> Figure:
     """Mapped walls and vertices with 95 % ellipses over the true world; errors are magnified like the ellipses."""
     sizes = Sizes.for_count(len(view.vertices))
-    figure, (axes,) = canvas.plan_figure(view, f"{plain(view.name)}: map and how well it is known")
+    figure, (axes,) = canvas.plan_figure(f"{plain(view.name)}: map and how well it is known", canvas.extent(view))
     canvas.draw_floor(axes, view)
     if view.true_rings:
         canvas.draw_triangles(axes, view, canvas.MAPPED)
@@ -60,7 +63,7 @@ def draw_map(view: RunView) -> Figure:
         handles.append(Line2D([], [], color=VERMILLION, lw=sizes.wall, ls=(0, (3, 1.5)), label="open gate"))
     handles += _draw_vertices(axes, view, sizes)
     if view.true_rings:
-        handles.insert(1, Line2D([], [], color=canvas.TRUE_WALL, lw=2 * sizes.wall, label="true wall"))
+        handles.insert(1, Line2D([], [], color=canvas.TRUE_WALL, lw=1.7 * sizes.wall, label="true wall"))
         handles.append(Patch(facecolor=canvas.MAPPED, edgecolor=canvas.DIAGONAL, label="free space found"))
     canvas.legend_below(figure, handles)
     return figure
@@ -109,49 +112,47 @@ def _draw_vertices(axes: Axes, view: RunView, sizes: Sizes) -> list:
 
 
 def _label_vertices(axes: Axes, view: RunView) -> None:
-    """Ids on the solid side of each corner, where nothing else is drawn."""
-    outward = {v: np.zeros(2) for v in view.vertices}
+    """Ids beside the corners, each on the side that has most room; in doubt on the solid one."""
+    ids = list(view.vertices)
+    outward = {v: np.zeros(2) for v in ids}
     for a, b in view.walls:
         way = view.vertices[b] - view.vertices[a]
         right = np.array([way[1], -way[0]]) / max(float(np.hypot(*way)), 1e-9)  # free space is on the left
         outward[a] = outward[a] + right
         outward[b] = outward[b] + right
-    for v, direction in outward.items():
-        length = float(np.hypot(*direction))
-        offset = 11 * (direction / length if length > 1e-6 else np.array([0.7, 0.7]))
-        axes.annotate(
-            str(v),
-            view.vertices[v],
-            xytext=offset,
-            textcoords="offset points",
-            ha="center",
-            va="center",
-            fontsize=canvas.SMALL_PT,
-            color=INK,
-            zorder=9,
-            annotation_clip=True,
-        )
+    low, high = canvas.extent(view)
+    points_per_m = 72 * float((np.array([canvas.WIDTH_IN - 0.65, canvas.TALLEST_IN]) / (high - low)).min())
+    taken = points_per_m * np.array([view.vertices[v] for v in ids])
+    angles = np.arange(16) * np.pi / 8
+    offsets_pt = 11 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    for v in ids:
+        places = points_per_m * view.vertices[v] + offsets_pt
+        room = np.hypot(*(places[:, None] - taken).transpose(2, 0, 1)).min(axis=1)
+        best = int(np.argmax(np.minimum(room, 11) + 0.1 * offsets_pt @ outward[v]))
+        taken = np.vstack([taken, places[best]])
+        style = {"fontsize": canvas.SMALL_PT, "color": INK, "ha": "center", "va": "center", "zorder": 9}
+        axes.annotate(str(v), view.vertices[v], xytext=offsets_pt[best], textcoords="offset points", **style)
 
 
 def draw_trajectories(view: RunView) -> Figure:
     """One panel per robot: odometry alone, causal, smoothed and true path. Odometry may leave the picture."""
     robots = list(dict.fromkeys(robot for paths in view.paths.values() for robot in paths))
-    figure, panels = canvas.plan_figure(view, f"{plain(view.name)}: trajectories", max(len(robots), 1))
+    figure, panels = canvas.plan_figure(f"{plain(view.name)}: trajectories", _room_for_drift(view), max(len(robots), 1))
     drawn = [kind for kind in PATH_STYLES if any(len(path) for path in view.paths.get(kind, {}).values())]
-    low, high = _room_for_drift(view)
+    longest = max((len(path) for path in view.paths.get("smoothed", {}).values()), default=1)
+    scale = float(np.clip(np.sqrt(300 / longest), 0.5, 1.0))
+    styles = {kind: {**PATH_STYLES[kind][1], "linewidth": scale * PATH_STYLES[kind][1]["linewidth"]} for kind in drawn}
     for axes, robot in zip(panels, robots, strict=False):
-        canvas.draw_floor(axes, view)
+        canvas.draw_floor(axes, view, outline=False)
         axes.set_title(plain(robot), fontsize=canvas.TITLE_PT)
         for kind in drawn:
             path = view.paths[kind].get(robot)
             if path is None or not len(path):
                 continue
-            axes.plot(*path.T, **PATH_STYLES[kind][1], solid_joinstyle="round")
+            axes.plot(*path.T, **styles[kind], solid_joinstyle="round")
             if kind == "smoothed" or "smoothed" not in drawn:
                 axes.plot(*path[0], "o", color=canvas.GREEN, markersize=8, mec="white", zorder=7)
                 axes.plot(*path[-1], "s", color=INK, markersize=7, mec="white", zorder=7)
-        axes.set_xlim(low[0], high[0])
-        axes.set_ylim(low[1], high[1])
     handles = [Line2D([], [], label=PATH_STYLES[kind][0], **PATH_STYLES[kind][1]) for kind in drawn]
     handles.append(Line2D([], [], color=canvas.GREEN, marker="o", ls="", markersize=8, mec="white", label="start"))
     handles.append(Line2D([], [], color=INK, marker="s", ls="", markersize=7, mec="white", label="end"))
@@ -175,10 +176,12 @@ def _room_for_drift(view: RunView) -> tuple[np.ndarray, np.ndarray]:
 def draw_dual_graph(view: RunView) -> Figure:
     """The paper's figure 2a: obstacles, triangles and the graph embedded at their centroids, coloured by sigma.
 
-    An edge bends at the middle of its gate, so that it stays in free space.
+    An edge is straight unless it would leave its two triangles: then it bends inside of its gate.
     """
     sizes = Sizes.for_count(len(view.triangles))
-    figure, (axes,) = canvas.plan_figure(view, f"{plain(view.name)}: triangulation and its dual graph")
+    figure, (axes,) = canvas.plan_figure(
+        f"{plain(view.name)}: triangulation and its dual graph", canvas.extent(view), beside_in=0.85
+    )
     canvas.draw_floor(axes, view, outline=False)
     canvas.draw_triangles(axes, view, canvas.MAPPED, canvas.DIAGONAL, sizes.thin)
     canvas.draw_edges(axes, view, view.walls, colors=INK, linewidths=1.2 * sizes.wall, zorder=3)
@@ -191,7 +194,7 @@ def draw_dual_graph(view: RunView) -> Figure:
     links, widths = [], []
     for a, b, edge in graph.edges(data=True):
         ends = [view.vertices[v] for v in edge["gate"]]
-        links.append([centroid[a], np.mean(ends, axis=0), centroid[b]])
+        links.append([centroid[a], crossing(centroid[a], centroid[b], *ends), centroid[b]])
         widths.append(float(np.hypot(*(ends[1] - ends[0]))))
     if links:
         share = np.array(widths) / max(float(np.quantile(widths, 0.95)), 1e-9)
@@ -210,6 +213,16 @@ def draw_dual_graph(view: RunView) -> Figure:
     return figure
 
 
+def crossing(start: np.ndarray, end: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Where the way start -> end passes the gate left - right: on the straight line if that is well inside."""
+    way, gate, offset = end - start, right - left, start - left
+    turning = gate[0] * way[1] - gate[1] * way[0]
+    if abs(turning) < 1e-12:
+        return (left + right) / 2
+    share = (offset[0] * way[1] - offset[1] * way[0]) / turning
+    return left + float(np.clip(share, 0.1, 0.9)) * gate
+
+
 def _draw_nodes(figure: Figure, axes: Axes, view: RunView, at: np.ndarray, sizes: Sizes) -> None:
     """Nodes coloured by the sigma of their position, with ids while there is room."""
     nodes = view.dual_graph.nodes
@@ -219,7 +232,7 @@ def _draw_nodes(figure: Figure, axes: Axes, view: RunView, at: np.ndarray, sizes
     dots = axes.scatter(
         *at.T, c=sigma_cm, s=diameter**2, cmap="viridis", edgecolors="white", linewidths=sizes.thin, zorder=6
     )
-    bar = figure.colorbar(dots, ax=axes, shrink=0.8, aspect=30, pad=0.02)
+    bar = figure.colorbar(dots, ax=axes, aspect=35, pad=0.015)
     bar.set_label("sigma of the triangle's position (cm)", fontsize=canvas.LABEL_PT)
     bar.ax.tick_params(labelsize=canvas.LABEL_PT - 1)
     if labelled:
