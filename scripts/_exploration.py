@@ -3,13 +3,13 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
 import networkx as nx
 import numpy as np
 
+from coopslam import __version__
 from coopslam.estimation.batch import Batch, BatchEstimate, solve_batch
 from coopslam.estimation.dead_reckoning import DeadReckoning
 from coopslam.estimation.estimate import Estimate, Trajectory
@@ -134,7 +134,7 @@ def draw(run: Exploration, out: Path) -> None:
 
 def _header(settings: ExplorationSettings, world: World) -> LogHeader:
     models = {"believed_noise": to_mapping(settings.believed_noise)}
-    provenance = f"simulated by coopslam {version('coopslam')}"
+    provenance = f"simulated by coopslam {__version__}"
     return LogHeader(
         settings.team.robots, seed=settings.seed, world=world.name, sensor_models=models, provenance=provenance
     )

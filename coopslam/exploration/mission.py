@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from coopslam.errors import BadInput
+from coopslam.errors import BadInput, BadMove, UnderDetermined
 from coopslam.estimation.estimate import Estimate
 from coopslam.exploration.explorer import Decided, Explorer, Stuck
 from coopslam.exploration.free_map import MapConflict
@@ -109,7 +109,7 @@ def run_mission(
                 watch(mission.history[-1])
     except StopIteration as end:
         mission.outcome, mission.reason = "complete", end.value
-    except (Stuck, MapConflict) as error:
+    except (Stuck, MapConflict, UnderDetermined, BadMove) as error:
         mission.outcome, mission.reason = "stuck", str(error)
     return mission
 

@@ -83,10 +83,10 @@ def write_pose_graph(directory: Path, graph: gtsam.NonlinearFactorGraph, estimat
     for k in range(graph.size()):
         factor = graph.at(k)
         if isinstance(factor, gtsam.BetweenFactorPose2):
-            start, end = (ids[key] for key in factor.keys())
+            start, end = (ids[key] for key in factor.keys())  # noqa: SIM118 (a factor is no dict)
             edges.append(PoseEdge(start, end, factor.measured(), factor.noiseModel().information()))
         elif isinstance(factor, gtsam.BearingFactorPose2):
-            start, end = (ids[key] for key in factor.keys())
+            start, end = (ids[key] for key in factor.keys())  # noqa: SIM118 (a factor is no dict)
             information = float(factor.noiseModel().information()[0, 0])
             edges.append(BearingEdge(start, end, factor.measured().theta(), information))
     poses = [(number, estimate.value(key)) for key, number in ids.items()]
