@@ -17,6 +17,9 @@ from sim.sight import TOLERANCE_M, Sight, cross
 from sim.world import World
 
 
+STAND_OFF_M = 0.01  # a robot that meets a wall on its way to a corner stops so far from it
+
+
 @dataclass(frozen=True, slots=True)
 class TeamSettings:
     """How the robots start, move and sample."""
@@ -138,7 +141,7 @@ class Team:
             wall = body.corner if move.wall_on == Side.RIGHT else end
         else:
             wall = body.wall
-        return self._drive_watched(move, self.world.points[end], end, wall)
+        return self._drive_watched(move, self.world.points[end], end, wall, self._end_at(move, end))
 
     def _return_along_contact(self, move: ReturnAlongContact) -> Step:
         body, watcher = self._bodies[move.robot], self._bodies[move.watcher]
@@ -167,20 +170,20 @@ class Team:
         body = self._bodies[move.robot]
         expected = body.pose * Pose2(*move.corner_body)
         aim = np.array([expected.x(), expected.y()])
-        corner = self._best_corner(body, expected, move.interior_angle_rad)
-        if corner is not None:
-            return self._drive_watched(move, self.world.points[corner], corner, None)
+        if move.limit_m is None:
+            corner = self._best_corner(body, expected, move.interior_angle_rad)
+            if corner is not None:
+                return self._drive_watched(move, self.world.points[corner], corner, None, self._end_at(move, corner))
         way = aim - body.position
-        length = np.hypot(*way)
+        length = float(np.hypot(*way))
         if length <= TOLERANCE_M:
             return self._drive(move, body.position, MoveEnd.NOTHING, body.corner, body.wall)
+        ended, metres = (MoveEnd.NOTHING, length) if move.limit_m is None else (MoveEnd.DISTANCE, min(move.limit_m, length))
         obstacle = self.sight.first_obstacle(body.position, way / length)
-        if obstacle is not None and obstacle.distance_m < length:
-            aim = body.position + max(obstacle.distance_m - 0.01, 0.0) * way / length
-        lost = self.sight.contact_break(self._bodies[move.watcher].position, body.position, aim, body.corner)
-        if lost is not None:
-            return self._drive(move, body.position + lost * (aim - body.position), MoveEnd.CONTACT)
-        return self._drive(move, aim, MoveEnd.NOTHING)
+        if obstacle is not None and obstacle.distance_m <= metres + STAND_OFF_M:
+            metres = max(obstacle.distance_m - STAND_OFF_M, 0.0)
+            ended = MoveEnd.NOTHING
+        return self._drive_watched(move, body.position + metres / length * way, None, None, ended)
 
     def _best_corner(self, body: Body, expected: Pose2, interior_angle: float) -> int | None:
         """The visible corner within the finder's reach of `expected` that looks most like it."""
@@ -197,8 +200,8 @@ class Team:
 
     # driving
 
-    def _drive_watched(self, move, target, corner: int, wall: int | None) -> Step:
-        """Drive straight to a corner, unless contact would break or the watched bearing comes first."""
+    def _drive_watched(self, move, target, corner: int | None, wall: int | None, ended: MoveEnd) -> Step:
+        """Drive straight to a place, unless contact would break or the watched bearing comes first."""
         body, watcher = self._bodies[move.robot], self._bodies[move.watcher]
         lost = self.sight.contact_break(watcher.position, body.position, target, body.corner)
         seen = None
@@ -208,8 +211,10 @@ class Team:
             return self._stop_on_the_way(move, target, lost, wall, MoveEnd.CONTACT)
         if seen is not None:
             return self._stop_on_the_way(move, target, seen, wall, MoveEnd.BEARING)
-        ended = MoveEnd.PARTNER if watcher.corner == corner else MoveEnd.CORNER
         return self._drive(move, target, ended, corner=corner)
+
+    def _end_at(self, move, corner: int) -> MoveEnd:
+        return MoveEnd.PARTNER if self._bodies[move.watcher].corner == corner else MoveEnd.CORNER
 
     def _stop_on_the_way(self, move, target, fraction: float, wall: int | None, ended: MoveEnd) -> Step:
         body = self._bodies[move.robot]

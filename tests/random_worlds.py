@@ -1,6 +1,6 @@
 """Seeded random worlds of several kinds; all of them pass the checks of `sim.world`.
 
-Coordinates of all kinds but stars are multiples of 1/4 m, so walls that look collinear are exactly collinear.
+Coordinates of all kinds but stars are multiples of 1/8 m, so walls that look collinear are exactly collinear.
 """
 
 import json
@@ -18,7 +18,9 @@ def random_world(kind: str, seed: int, corners: tuple[int, int] = (10, 50)) -> W
     """The first draw with an acceptable number of corners that is a world."""
     rng = np.random.default_rng([sorted(KINDS).index(kind), seed])
     for _ in range(1000):
-        polygon = shapely.set_precision(KINDS[kind](rng), 1 / 4 if kind != "stars" else 1e-4)
+        polygon = KINDS[kind](rng)
+        if kind != "straight":  # which it would undo
+            polygon = shapely.set_precision(polygon, 1 / 4 if kind != "stars" else 1e-4)
         if polygon.geom_type != "Polygon" or polygon.is_empty:
             continue
         n = sum(len(ring.coords) - 1 for ring in (polygon.exterior, *polygon.interiors))
@@ -33,7 +35,7 @@ def random_world(kind: str, seed: int, corners: tuple[int, int] = (10, 50)) -> W
 
 def _grid(rng: np.random.Generator):
     """Rooms of 2 m: a union of grid cells, drawn in from the cells that are missing."""
-    w, h = rng.integers(3, 7, 2)
+    w, h = rng.integers(4, 8, 2)
     filled = [(i, j) for i in range(w) for j in range(h) if rng.random() < 0.75]
     return _largest(shapely.union_all([box(2 * i, 2 * j, 2 * i + 2, 2 * j + 2) for i, j in filled])).buffer(
         -0.25, join_style="mitre"
@@ -95,4 +97,18 @@ def _largest(geometry):
     return max(shapely.get_parts(geometry), key=shapely.area)
 
 
-KINDS: dict[str, Callable] = {"grid": _grid, "maze": _maze, "stars": _stars, "halls": _halls}
+def _straight(rng: np.random.Generator):
+    """A hall in which every other wall has a corner of exactly 180 degrees in its middle."""
+    hall = _halls(rng)
+
+    def split(ring):
+        corners = np.array(ring.coords)[:-1]
+        extra = np.where(np.arange(len(corners)) % 2 == 0, 0.5, np.nan)[:, None]
+        middles = corners + extra * (np.roll(corners, -1, axis=0) - corners)
+        both = np.stack([corners, middles], axis=1).reshape(-1, 2)
+        return both[~np.isnan(both[:, 0])]
+
+    return Polygon(split(hall.exterior), [split(ring) for ring in hall.interiors])
+
+
+KINDS: dict[str, Callable] = {"grid": _grid, "maze": _maze, "stars": _stars, "halls": _halls, "straight": _straight}

@@ -29,8 +29,6 @@ from coopslam.exploration.recognition import (
     corner_distance_sq,
     fitting_sector,
     interior_angle_agrees,
-    outside,
-    sector_limits,
 )
 from coopslam.exploration.travel import route_to_gate
 from coopslam.records import CornerDecision, CornerSighting, Decision, TriangleDecision, WallDecision
@@ -62,6 +60,7 @@ class ExplorerSettings:
     angle_sigmas: float = 5.0  # an angle this close to a straight line counts as undecided
     same_place_sigmas: float = 3.0
     attempts: int = 3  # to find a known corner
+    sure_reach_m: float = 0.4  # when a corner may be further than this from its estimate, half way is driven first
     recognition: RecognitionSettings = field(default_factory=RecognitionSettings)
 
 
@@ -166,6 +165,8 @@ class Explorer:
         """Drive to a known vertex in the open and make sure that it is the one."""
         for _ in range(self.settings.attempts):
             step = yield self._go_to_corner(mover, target)
+            while step.ended == MoveEnd.DISTANCE:  # watched on the way, it aims again
+                step = yield self._go_to_corner(mover, target)
             if step.ended in (MoveEnd.CORNER, MoveEnd.PARTNER) and self._may_be(step.corner, target):
                 yield from self._know_again(step.corner, target)
                 return
@@ -175,7 +176,11 @@ class Explorer:
         self._last_mover = mover
         there = self.estimate.pose(mover).between(self._vertex(target))
         where = (there.x(), there.y(), there.theta())
-        return GoToCorner(mover, self._partner(mover), where, self.free_map.interior_angles[target], watch_for_rad)
+        metres = float(np.hypot(*where[:2]))
+        aims_badly = 3.0 * self._relative_sigma(mover, target) > self.settings.sure_reach_m
+        limit_m = metres / 2 if aims_badly and metres > 2.0 * self.settings.sure_reach_m else None
+        angle = self.free_map.interior_angles[target]
+        return GoToCorner(mover, self._partner(mover), where, angle, watch_for_rad, limit_m)
 
     # one gate
 
@@ -250,7 +255,7 @@ class Explorer:
                 case MoveEnd.CORNER:
                     walked = sweep.boundary is not None and target is None
                     return (yield from self._meet_corner(sweep, step.corner, walked))
-                case MoveEnd.PARTNER if sweep.boundary is not None:
+                case MoveEnd.PARTNER if sweep.boundary is not None and target is None:
                     yield from self._close_as_wall(sweep, step)
                     return True
                 case MoveEnd.CONTACT:
@@ -261,6 +266,8 @@ class Explorer:
                         target, attempts = watched, self.settings.attempts
                 case MoveEnd.NOTHING if attempts > 1:
                     attempts -= 1
+                case MoveEnd.DISTANCE:
+                    pass  # on the way to a known vertex: aim again
                 case _:
                     raise Stuck(f"{sweep.mover} swept behind gate {sweep.gate} and ended with {step.ended}")
 
@@ -269,7 +276,7 @@ class Explorer:
         while True:
             step = yield ReturnAlongContact(sweep.mover, sweep.watcher)
             if step.ended == MoveEnd.PARTNER:  # nothing in between: the wall led away after all
-                self.at[sweep.mover] = sweep.pivot
+                yield from self._know_again(step.corner, sweep.pivot)
                 yield from self._cross(sweep.mover, sweep.corner)
                 return False
             passed = self._explored_corner(sweep, step.corner)
@@ -313,6 +320,9 @@ class Explorer:
                     ranked.append((corner_distance_sq(self.estimate, sighting, vertex), vertex, sector))
         ranked.sort(key=lambda entry: entry[0])
         if not ranked or ranked[0][0] > limits.distance_sq_max:
+            twin = next((v for v in self._near(sighting, set(self.free_map.fans) - set(sweep.gate)) if self._may_be(sighting, v)), None)
+            if twin is not None:
+                raise Stuck(f"{sighting.observer} found vertex {twin} behind gate {sweep.gate}, where it cannot be")
             nearest = ranked[0][0] if ranked else None
             return (yield from self._new_vertex(sighting, nearest)), None
         runner_up = ranked[1][0] if len(ranked) > 1 else None
@@ -381,8 +391,8 @@ class Explorer:
     def _next_known(self, sweep: Sweep, target: int | None, passed: set) -> tuple[int | None, float | None]:
         """The next end of an open gate that the line of contact will meet, and its bearing in the watcher's frame.
 
-        Left out: what lies beyond the path that the mover follows, and vertices whose unexplored space does not
-        face the watcher.
+        Left out: what lies beyond the path that the mover follows, and vertices into whose unexplored space the
+        triangle would not fit.
         """
         ends = sorted({v for gate in self.free_map.gates for v in gate} - passed - set(sweep.gate))
         if not ends:
@@ -393,7 +403,7 @@ class Explorer:
         for k in np.argsort(angles):
             if not ahead[k] or (angles[k] <= STRAIGHT_RAD and not self._gate_goes_ahead(sweep, ends[k])):
                 continue
-            if self._faces(ends[k], sweep.pivot):
+            if self._fit(sweep, ends[k], False, False) is not None:
                 there = self.estimate.pose(sweep.watcher).transformTo(places[k])
                 return ends[k], float(np.arctan2(there[1], there[0]))
         return None, None
@@ -411,16 +421,6 @@ class Explorer:
         offset = places - position(corner if target is None else self.estimate.pose(sweep.mover))
         slack = PATH_SLACK_RAD * np.hypot(*offset.T) * np.hypot(*way)
         return sweep.turn * (way[0] * offset[:, 1] - way[1] * offset[:, 0]) < -slack
-
-    def _faces(self, vertex: int, pivot: int) -> bool:
-        """Whether a vertex has unexplored space towards the pivot."""
-        corner = self._vertex(vertex)
-        toward = bearing(corner, self._vertex(pivot))
-        slack = self.settings.recognition.sector_slack_rad
-        return any(
-            outside(toward, *sector_limits(self.free_map, self.estimate, vertex, sector)) <= slack
-            for sector in self.free_map.unexplored_sectors(vertex)
-        )
 
     def _gate_goes_ahead(self, sweep: Sweep, vertex: int) -> bool:
         """Whether an open gate at a vertex on the line of contact leads to where the line will turn."""

@@ -60,7 +60,8 @@ class GoToCorner:
     watcher: str
     corner_body: tuple[float, float, float]  # x, y, heading of the oriented corner in the robot's frame
     interior_angle_rad: float
-    watch_for_rad: float | None = None
+    watch_for_rad: float | None = None  # as for FollowWall
+    limit_m: float | None = None  # drive at most so far; the next move can be aimed better
 
 
 Move = FollowWall | ReturnAlongContact | DriveAway | GoToCorner
