@@ -61,7 +61,7 @@ def test_the_law_is_a_random_walk_that_was_integrated():
     heading = np.cumsum(rng.standard_normal((runs, steps)) * NO_FLOOR.drift_sigma_rad * np.sqrt(step), axis=1)
     along = rng.standard_normal((runs, steps)).sum(axis=1) * NO_FLOOR.translation_sigma_m * np.sqrt(step)
     sideways = (heading * step).sum(axis=1) - heading[:, -1] * step / 2  # trapezoidal
-    require_covariance(_in_axes_of_end(along, sideways, heading[:, -1], metres), NO_FLOOR.covariance(0.0, metres))
+    require_covariance(np.column_stack([along, sideways, heading[:, -1]]), NO_FLOOR.covariance(0.0, metres))
 
 
 @pytest.mark.parametrize("steps", [1, 5])

@@ -1,13 +1,15 @@
-"""Is this corner one that the map already has? Joint Mahalanobis distance, then the corner's own shape."""
+"""Is this corner one that the map already has? Joint Mahalanobis distance, and the corner's own shape."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from coopslam.estimation.estimate import Estimate
-from coopslam.exploration.free_map import FreeMap, Sector
+from coopslam.exploration.chart import Chart, outside
+from coopslam.exploration.free_map import Sector
 from coopslam.records import CornerSighting
-from coopslam.se2 import Pose2, adjoint, observer_to_target_axes, wrap, xytheta
+from coopslam.se2 import adjoint, observer_to_target_axes, position, wrap, xytheta
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,9 +18,17 @@ class RecognitionSettings:
 
     distance_sq_max: float = 30.66  # chi-square, 3 dof, 1 - 1e-6
     angle_sigmas: float = 5.0
-    sector_slack_rad: float = 0.35
     search_radius_m: float = 1.0
     search_sigmas: float = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """A known vertex that a sighting may show, the best first in a list of them."""
+
+    distance_sq: float
+    vertex: int
+    sector: Sector | None  # where the triangle behind the gate fits; None: nowhere
 
 
 def corner_distance_sq(estimate: Estimate, sighting: CornerSighting, vertex: int) -> float:
@@ -42,45 +52,64 @@ def interior_angle_agrees(sighting: CornerSighting, known_rad: float, sigmas: fl
     return abs(sighting.interior_angle_rad - known_rad) <= sigmas * np.sqrt(2) * sighting.interior_angle_sigma_rad
 
 
+def known_corners(
+    chart: Chart,
+    limits: RecognitionSettings,
+    sighting: CornerSighting,
+    gate: tuple[int, int],
+    vertices: Iterable[int],
+    wall_at_end: bool = False,
+    wall_at_start: bool = False,
+) -> list[Match]:
+    """Which of some vertices a sighting may show, nearest in Mahalanobis distance first."""
+    belief = chart.estimate.belief(sighting.observer)
+    here = position(belief.T_world_body * sighting.T_observer_corner)
+    reach = max(limits.search_radius_m, limits.search_sigmas * belief.position_sigma_m)
+    matches = []
+    for vertex in sorted(vertices):
+        if np.hypot(*(chart.position(vertex) - here)) > reach:
+            continue
+        if not interior_angle_agrees(sighting, chart.free_map.interior_angles[vertex], limits.angle_sigmas):
+            continue
+        distance_sq = corner_distance_sq(chart.estimate, sighting, vertex)
+        if distance_sq <= limits.distance_sq_max:
+            matches.append(Match(distance_sq, vertex, sector_for(chart, vertex, gate, wall_at_end, wall_at_start)))
+    return sorted(matches, key=lambda match: match.distance_sq)
+
+
+def sector_for(
+    chart: Chart, vertex: int, gate: tuple[int, int], wall_at_end: bool = False, wall_at_start: bool = False
+) -> Sector | None:
+    """The unexplored sector of a known vertex into which the triangle behind the gate fits, if any.
+
+    wall_at_end / wall_at_start: the edge from the gate's end to the vertex / from the vertex to the gate's start is a
+    wall that was just walked.
+    """
+    if vertex in gate:
+        return None
+    sector, miss = fitting_sector(chart, vertex, gate, wall_at_end, wall_at_start)
+    return sector if sector is not None and miss <= chart.sector_slack(vertex, gate) else None
+
+
 def fitting_sector(
-    free_map: FreeMap, estimate: Estimate, apex: int, gate: tuple[int, int], wall_at_end: bool, wall_at_start: bool
+    chart: Chart, apex: int, gate: tuple[int, int], wall_at_end: bool, wall_at_start: bool
 ) -> tuple[Sector | None, float]:
-    """The unexplored sector of a known vertex into which the triangle behind `gate` fits, and by how much it misses, rad.
+    """The unexplored sector of a known vertex that the triangle behind `gate` fits best, and by how much it misses, rad.
 
     Angles are counter-clockwise from the wall that leaves the vertex; the triangle spans apex -> a to apex -> b.
     """
     a, b = gate
-    corner = estimate.vertex(apex)
-    toward_a, toward_b = bearing(corner, estimate.vertex(a)), bearing(corner, estimate.vertex(b))
+    toward_a, toward_b = chart.bearing(apex, a), chart.bearing(apex, b)
     best, best_miss = None, np.inf
-    for sector in free_map.unexplored_sectors(apex):
+    for sector in chart.free_map.unexplored_sectors(apex):
         low, high = sector.clockwise, sector.counter_clockwise
         if wall_at_end and not (high.is_wall and high.other in (None, b)):
             continue
         if wall_at_start and not (low.is_wall and low.other in (None, a)):
             continue
-        first, last = sector_limits(free_map, estimate, apex, sector)
+        first, last = chart.sector_limits(apex, sector)
         miss_a = 0.0 if low.other == a or wall_at_start else outside(toward_a, first, last)
         miss_b = 0.0 if high.other == b or wall_at_end else outside(toward_b, first, last)
         if miss_a + miss_b < best_miss:
             best, best_miss = sector, miss_a + miss_b
     return best, best_miss
-
-
-def bearing(T_world_corner: Pose2, T_world_other: Pose2) -> float:
-    """Direction of another vertex in a corner's frame, in [0, 2 pi)."""
-    there = T_world_corner.transformTo(np.array([T_world_other.x(), T_world_other.y()]))
-    return float(np.arctan2(there[1], there[0]) % (2 * np.pi))
-
-
-def sector_limits(free_map: FreeMap, estimate: Estimate, vertex: int, sector: Sector) -> tuple[float, float]:
-    """Directions of a sector's two sides in the vertex's frame, in [0, 2 pi); the second may be a little below the first."""
-    low, high, corner = sector.clockwise, sector.counter_clockwise, estimate.vertex(vertex)
-    first = 0.0 if low.is_wall else bearing(corner, estimate.vertex(low.other))
-    last = free_map.interior_angles[vertex] if high.is_wall else bearing(corner, estimate.vertex(high.other))
-    return first, last
-
-
-def outside(angle: float, first: float, last: float) -> float:
-    """How far an angle lies outside [first, last], rad; all modulo a full turn."""
-    return min(max(first - turn, turn - last, 0.0) for turn in (angle - 2 * np.pi, angle, angle + 2 * np.pi))

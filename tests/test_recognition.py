@@ -1,0 +1,146 @@
+"""Is this corner a known one: an honest distance, the corner's shape, and the sector that a triangle fits."""
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from coopslam.estimation.incremental import Incremental
+from coopslam.exploration.free_map import FreeMap
+from coopslam.exploration.recognition import corner_distance_sq, fitting_sector, interior_angle_agrees
+from coopslam.records import CornerDecision, CornerSighting, Odometry, RelativePoseFix
+from coopslam.se2 import Pose2, xytheta
+
+ODOMETRY_COV = np.diag([0.05, 0.03, 0.03]) ** 2
+FIX_COV = np.array([[9.0, 2.0, 1.0], [2.0, 4.0, -1.0], [1.0, -1.0, 6.0]]) * 1e-5
+SEEN_COV = np.diag([0.004, 0.009, 0.01]) ** 2
+CORNER = Pose2(2.0, 3.0, 1.0)  # in the frame of the first robot's start
+
+
+def sighting_after_a_walk(rng: np.random.Generator, really: Pose2 = CORNER):
+    """(estimate, sighting): ann drives and sees the corner; bob, whom she tracks, drives there and sees `really`."""
+
+    def noisy(pose, cov):  # in the pose's own axes
+        return pose * Pose2(*rng.multivariate_normal(np.zeros(3), cov))
+
+    def observed(pose, cov):  # in the observer's axes
+        return Pose2(*(xytheta(pose) + rng.multivariate_normal(np.zeros(3), cov)))
+
+    ann, bob = Pose2(1.5, 2.5, 0.7), Pose2(1.0, 0.5, -2.0)
+    bob_later = Pose2(2.1, 2.8, 2.5)
+    estimator = Incremental(("ann", "bob"))
+    seen = CornerSighting(2.0, "ann", observed(ann.between(CORNER), SEEN_COV), SEEN_COV, 1.5, 0.01)
+    estimator.update(
+        [
+            Odometry(0.0, 2.0, "ann", noisy(ann, ODOMETRY_COV), ODOMETRY_COV),
+            seen,
+            CornerDecision(2.0, seen, 0, True),
+            RelativePoseFix(2.0, "ann", "bob", observed(ann.between(bob), FIX_COV), FIX_COV),
+        ]
+    )
+    again = CornerSighting(4.0, "bob", observed(bob_later.between(really), SEEN_COV), SEEN_COV, 1.5, 0.01)
+    estimate = estimator.update(
+        [
+            Odometry(2.0, 4.0, "bob", noisy(bob.between(bob_later), ODOMETRY_COV), ODOMETRY_COV),
+            RelativePoseFix(4.0, "bob", "ann", observed(bob_later.between(ann), FIX_COV), FIX_COV),
+            again,
+        ]
+    )
+    return estimate, again
+
+
+def test_the_distance_to_the_same_corner_is_chi_square_with_three_degrees():
+    """300 independent worlds; all of ann's own uncertainty is common to both sightings and must drop out."""
+    rng = np.random.default_rng(1)
+    distances = np.array([corner_distance_sq(*sighting_after_a_walk(rng), 0) for _ in range(300)])
+    low, high = chi2.ppf([0.0005, 0.9995], 3 * 300)
+    assert low < distances.sum() < high
+    for share in (0.5, 0.9):  # the tail is that of the distribution, too: three sigmas of a binomial
+        beyond = np.mean(distances > chi2.ppf(share, 3))
+        assert beyond == pytest.approx(1 - share, abs=3 * np.sqrt(share * (1 - share) / 300))
+
+
+@pytest.mark.parametrize("away", [Pose2(0.3, 0, 0), Pose2(0, 0.3, 0), Pose2(0, 0, pi / 2), Pose2(0, 0, pi)])
+def test_another_corner_is_far_away(away):
+    rng = np.random.default_rng(2)
+    assert corner_distance_sq(*sighting_after_a_walk(rng, CORNER * away), 0) > 100
+
+
+def test_the_interior_angle_must_agree():
+    def seen(angle, sigma):
+        return CornerSighting(0.0, "ann", Pose2(), np.eye(3), angle, sigma)
+
+    # two measurements of one angle differ by sqrt(2) sigma: 5 of these are 0.0707 rad for a sigma of 0.01
+    assert interior_angle_agrees(seen(1.5, 0.01), 1.57, 5.0) and interior_angle_agrees(seen(1.5, 0.01), 1.43, 5.0)
+    assert not interior_angle_agrees(seen(1.5, 0.01), 1.572, 5.0)
+    assert not interior_angle_agrees(seen(1.5, 0.01), 1.428, 5.0)
+    assert interior_angle_agrees(seen(1.5, 0.02), 1.572, 5.0)
+    assert not interior_angle_agrees(seen(1.5, 0.01), 1.57, 4.0)
+
+
+@dataclass
+class Known:
+    """An estimate that is simply right."""
+
+    poses: dict[int, Pose2]
+
+    def vertex(self, vertex: int) -> Pose2:
+        return self.poses[vertex]
+
+
+def at(degrees: float, metres: float = 2.0) -> Pose2:
+    return Pose2(metres * np.cos(np.radians(degrees)), metres * np.sin(np.radians(degrees)), 0.0)
+
+
+@pytest.fixture
+def touched():
+    """A straight corner 0 at the origin, its walls along x; triangle (1, 2, 0) from 60 to 120 degrees touches it.
+
+    Unexplored: sector 0 from 0 to 60 degrees, sector 2 from 120 to 180.
+    """
+    free_map = FreeMap()
+    for vertex in range(9):
+        free_map.add_vertex(vertex, pi)
+    free_map.add_first_wall(1, 2)
+    free_map.add_triangle((1, 2), 0, False, False)
+    degrees = {1: 60, 2: 120, 3: 10, 4: 40, 5: 140, 6: 170, 7: 80, 8: 0}
+    turn = Pose2(5.0, -3.0, 2.0)  # whichever way the corner lies in the world
+    poses = {0: turn, **{vertex: turn * at(angle, 1 + vertex / 5) for vertex, angle in degrees.items()}}
+    return free_map, Known(poses)
+
+
+@pytest.mark.parametrize(
+    ("gate", "at_end", "at_start", "index", "miss_degrees"),
+    [
+        ((3, 4), False, False, 0, 0.0),
+        ((5, 6), False, False, 2, 0.0),
+        ((4, 1), False, False, 0, 0.0),  # closes up to the known triangle
+        ((2, 5), False, False, 2, 0.0),
+        ((8, 4), False, True, 0, 0.0),  # along the wall that leaves the corner
+        ((3, 4), False, True, 0, 0.0),  # the wall was walked: the estimate of 3 does not matter
+        ((5, 6), True, False, 2, 0.0),
+        ((3, 7), False, False, 0, 20.0),  # reaches 20 degrees into the known triangle
+        ((7, 5), False, False, 2, 40.0),
+    ],
+)
+def test_the_sector_that_a_triangle_fits(touched, gate, at_end, at_start, index, miss_degrees):
+    sector, miss = fitting_sector(*touched, 0, gate, at_end, at_start)
+    assert sector.index == index and np.degrees(miss) == pytest.approx(miss_degrees, abs=1e-9)
+
+
+def test_a_direction_a_little_below_zero_is_not_a_full_turn_off(touched):
+    free_map, estimate = touched
+    estimate.poses[8] = estimate.poses[0] * at(-0.5)
+    sector, miss = fitting_sector(free_map, estimate, 0, (8, 4), False, False)
+    assert sector.index == 0 and np.degrees(miss) == pytest.approx(0.5)
+
+
+def test_walls_that_are_taken_leave_no_sector(touched):
+    free_map, estimate = touched
+    free_map.add_triangle((1, 0), 3, True, True) if (1, 0) in free_map.gates else free_map.add_triangle((1, 0), 3, True, True)
+    assert fitting_sector(free_map, estimate, 0, (8, 4), False, True)[0] is None  # its leaving wall goes to 3
+    assert fitting_sector(free_map, estimate, 0, (5, 6), True, False)[0].index == 2
+    sector, miss = fitting_sector(free_map, estimate, 0, (3, 4), False, False)  # only the far sector is left
+    assert sector.index == 2 and np.degrees(miss) == pytest.approx(110.0 + 80.0)
