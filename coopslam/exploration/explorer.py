@@ -160,14 +160,14 @@ class Explorer:
 
         The place itself comes first again: seen from near, the robot aims better.
         """
-        cov = self.chart.relative_covariance(mover, target)
+        variances, axes = np.linalg.eigh(self.chart.relative_covariance(mover, target))
+        sigmas = np.sqrt(np.maximum(variances, 1e-12))
         spacing = 1.4 * self.settings.sure_reach_m  # squares whose corners the finder just reaches
-        reach = min(int(np.ceil(3 * np.sqrt(np.trace(cov)) / spacing)), 10)
-        steps = spacing * np.arange(-reach, reach + 1)
-        grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-        distance_sq = np.einsum("ni,ni->n", grid, np.linalg.solve(cov, grid.T).T)
-        likely = np.argsort(distance_sq, kind="stable")[: self.settings.search_places]
-        return [grid[k] for k in likely if distance_sq[k] <= 9.0]
+        counts = np.minimum(np.ceil(np.maximum(3 * sigmas - self.settings.sure_reach_m, 0) / spacing), 10).astype(int)
+        steps = [spacing * np.arange(-count, count + 1) for count in counts]
+        grid = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
+        likely = np.argsort(np.sum((grid / sigmas) ** 2, axis=1), kind="stable")[: self.settings.search_places]
+        return [axes @ grid[k] for k in likely]
 
     # one gate
 
