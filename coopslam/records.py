@@ -118,9 +118,8 @@ class CornerSighting:
         _check_pose(self.T_observer_corner, f"corner seen by {self.observer}", self.stamp_s)
         _check_cov(self.cov_observer, 3, f"corner seen by {self.observer}", self.stamp_s)
         if not 0.0 < self.interior_angle_rad < 2 * pi:
-            raise BadRecord(
-                f"{self.observer} reports an interior angle of {self.interior_angle_rad:g} rad at t = {self.stamp_s:.3f} s"
-            )
+            angle = f"an interior angle of {self.interior_angle_rad:g} rad"
+            raise BadRecord(f"{self.observer} reports {angle} at t = {self.stamp_s:.3f} s; in (0, 2 pi) expected")
         _check_sigma(self.interior_angle_sigma_rad, self.observer, self.stamp_s)
 
 

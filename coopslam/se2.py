@@ -10,7 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 from gtsam import Pose2
 
-__all__ = ["Pose2", "PoseBelief", "adjoint", "chain_covariance", "is_covariance", "position", "rotation", "wrap", "xytheta"]
+__all__ = [
+    "Pose2",
+    "PoseBelief",
+    "adjoint",
+    "chain_covariance",
+    "is_covariance",
+    "position",
+    "rotation",
+    "wrap",
+    "xytheta",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -149,7 +149,8 @@ def _truth(truth: Truth, world: World, records: list[Record]) -> ExplorationTrut
             misnamed += corner_of.setdefault(record.vertex, corner) != corner
     leaving = world.points[world.next_index] - world.points
     corners = [
-        Pose2(*point, angle) for point, angle in zip(world.points, np.arctan2(leaving[:, 1], leaving[:, 0]), strict=True)
+        Pose2(*point, angle)
+        for point, angle in zip(world.points, np.arctan2(leaving[:, 1], leaving[:, 0]), strict=True)
     ]
     tracks = {robot: Trajectory(np.array(track.stamps_s), track.poses) for robot, track in truth.tracks.items()}
     return ExplorationTruth(corners, world.polygon, world.triangles_expected, tracks, corner_of, misnamed)
@@ -205,9 +206,7 @@ def _write(run: Exploration, out: Path) -> None:
     truth = out / "truth"
     truth.mkdir(exist_ok=True)
     write_json(truth / "world.geojson", run.world.to_geojson())
-    write_json(
-        truth / "vertices.json", {str(v): list(run.world.ring_index(c)) for v, c in run.truth.corner_of.items()}
-    )
+    write_json(truth / "vertices.json", {str(v): list(run.world.ring_index(c)) for v, c in run.truth.corner_of.items()})
     for robot, track in run.truth.tracks.items():
         write_tum(truth / f"{robot}.tum", track.stamps_s, track.poses)
 

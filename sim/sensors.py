@@ -17,7 +17,9 @@ class Sensors:
     believed: Noise
     rng: np.random.Generator
 
-    def odometry(self, robot: str, times_s: np.ndarray, turns_rad: np.ndarray, distances_m: np.ndarray) -> list[Odometry]:
+    def odometry(
+        self, robot: str, times_s: np.ndarray, turns_rad: np.ndarray, distances_m: np.ndarray
+    ) -> list[Odometry]:
         """One record per step; each step turns on the spot, or drives straight. times_s is (N+1,), the others (N,)."""
         records = []
         for k, (turn, distance) in enumerate(zip(turns_rad.tolist(), distances_m.tolist(), strict=True)):
@@ -39,7 +41,9 @@ class Sensors:
         cov = turn @ self.believed.tracker.line_covariance(np.hypot(x, y)) @ turn.T
         return RelativePoseFix(stamp_s, observer, target, Pose2(x, y, T_observer_target.theta() + heading), cov)
 
-    def corner(self, stamp_s: float, observer: str, T_observer_corner: Pose2, interior_angle_rad: float) -> CornerSighting:
+    def corner(
+        self, stamp_s: float, observer: str, T_observer_corner: Pose2, interior_angle_rad: float
+    ) -> CornerSighting:
         """What the finder of `observer` says of the corner in which it stands."""
         x, y, theta = self._draw(self.true.finder.covariance())
         angle = interior_angle_rad + self.rng.standard_normal() * self.true.finder.interior_angle_sigma_rad
@@ -62,4 +66,3 @@ class Sensors:
         slope = cov[1, 2] / y if y > 0 else 0.0
         rest = np.sqrt(max(cov[2, 2] - slope**2, 0.0))
         return np.array([x * white[0], y * white[1], slope * white[1] + rest * white[2]])
-

@@ -65,7 +65,7 @@ class Sight:
         return float(np.min(-cross(line, arm[swept]) / cross(drive, arm[swept])))
 
     def first_obstacle(self, origin, direction) -> Obstacle | None:
-        """What a drive from `origin` along the unit vector `direction` meets first; every corner that it touches counts."""
+        """What a drive from `origin` along the unit vector `direction` meets first; touching a corner counts."""
         arm = self.points - origin
         along, beside = arm @ direction, cross(direction, arm)
         best = None
@@ -74,9 +74,13 @@ class Sight:
             corner = int(on_line[np.argmin(along[on_line])])
             best = Obstacle(float(along[corner]), corner=corner)
         beyond = self.world.next_index
-        crossing = (np.abs(beside) > TOLERANCE_M) & (np.abs(beside[beyond]) > TOLERANCE_M) & (beside * beside[beyond] < 0)
+        crossing = (
+            (np.abs(beside) > TOLERANCE_M) & (np.abs(beside[beyond]) > TOLERANCE_M) & (beside * beside[beyond] < 0)
+        )
         walls = np.flatnonzero(crossing)
-        at = along[walls] + (along[beyond[walls]] - along[walls]) * beside[walls] / (beside[walls] - beside[beyond[walls]])
+        at = along[walls] + (along[beyond[walls]] - along[walls]) * beside[walls] / (
+            beside[walls] - beside[beyond[walls]]
+        )
         walls, at = walls[at > TOLERANCE_M], at[at > TOLERANCE_M]
         if walls.size and (best is None or at.min() < best.distance_m):
             nearest = int(np.argmin(at))

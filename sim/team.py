@@ -16,7 +16,6 @@ from sim.sensors import Sensors
 from sim.sight import TOLERANCE_M, Sight, cross
 from sim.world import World
 
-
 STAND_OFF_M = 0.01  # a robot that meets a wall on its way to a corner stops so far from it
 
 
@@ -178,7 +177,9 @@ class Team:
         length = float(np.hypot(*way))
         if length <= TOLERANCE_M:
             return self._drive(move, body.position, MoveEnd.NOTHING, body.corner, body.wall)
-        ended, metres = (MoveEnd.NOTHING, length) if move.limit_m is None else (MoveEnd.DISTANCE, min(move.limit_m, length))
+        ended, metres = (
+            (MoveEnd.NOTHING, length) if move.limit_m is None else (MoveEnd.DISTANCE, min(move.limit_m, length))
+        )
         obstacle = self.sight.first_obstacle(body.position, way / length)
         if obstacle is not None and obstacle.distance_m <= metres + STAND_OFF_M:
             metres = max(obstacle.distance_m - STAND_OFF_M, 0.0)
@@ -254,7 +255,9 @@ class Team:
         if abs(turn) < 1e-12:
             return []
         share = self._shares(abs(turn) / self.settings.turn_rate_rad_per_s)
-        records = self._odometry(robot, turn * share, np.zeros(len(share)), abs(turn) / self.settings.turn_rate_rad_per_s * share)
+        records = self._odometry(
+            robot, turn * share, np.zeros(len(share)), abs(turn) / self.settings.turn_rate_rad_per_s * share
+        )
         body = self._bodies[robot]
         body.heading += turn
         self._note_truth(robot)
@@ -262,7 +265,9 @@ class Team:
 
     def _sample_drive(self, robot: str, distance: float) -> list:
         share = self._shares(distance / self.settings.speed_m_per_s)
-        return self._odometry(robot, np.zeros(len(share)), distance * share, distance / self.settings.speed_m_per_s * share)
+        return self._odometry(
+            robot, np.zeros(len(share)), distance * share, distance / self.settings.speed_m_per_s * share
+        )
 
     def _shares(self, duration_s: float) -> np.ndarray:
         """(N,) shares of a stretch between one odometry sample and the next; they add up to 1."""
@@ -333,5 +338,3 @@ def _bearing_crossing(watcher: Body, start, end, bearing_rad: float) -> float | 
     if not 0.0 <= fraction <= 1.0 or (line + fraction * drive) @ ray <= 0:
         return None
     return float(fraction)
-
-

@@ -1,19 +1,17 @@
 """Whole explorations: complete, without overlap, true; judged by shapely on the true corners."""
 
 import gc
-from itertools import islice
 from pathlib import Path
 from types import BuiltinFunctionType, FunctionType, ModuleType
 
 import numpy as np
 import pytest
 import shapely
-from explorations import ROBOTS, require_complete, run
+from explorations import require_complete, run
 from random_worlds import KINDS, random_world
 
-from coopslam.exploration.explorer import Explorer
 from coopslam.exploration.moves import DriveAway, FollowWall, GoToCorner, ReturnAlongContact
-from coopslam.records import CornerDecision, MoveNote, Odometry, TriangleDecision, WallDecision
+from coopslam.records import CornerDecision, Decision, Measurement, MoveNote, Odometry, TriangleDecision, WallDecision
 from sim.team import TeamSettings
 from sim.world import World, load_world, world_names
 
@@ -24,7 +22,10 @@ QUICK = 100  # corners; larger shared worlds are slow
 def shared_worlds():
     if not SHARED_WORLDS.is_dir():
         return [pytest.param(None, marks=pytest.mark.skip(reason=f"{SHARED_WORLDS} is not here"))]
-    marks = {path: [pytest.mark.slow] if load_world(path).n > QUICK else [] for path in sorted(SHARED_WORLDS.glob("*.geojson"))}
+    marks = {
+        path: [pytest.mark.slow] if load_world(path).n > QUICK else []
+        for path in sorted(SHARED_WORLDS.glob("*.geojson"))
+    }
     return [pytest.param(path, id=path.stem, marks=mark) for path, mark in marks.items()]
 
 
@@ -104,13 +105,19 @@ def test_the_seed_decides_everything():
 
 
 def odometry(finished):
-    return [record.T_start_now.x() + record.T_start_now.theta() for record in finished.records if isinstance(record, Odometry)]
+    return [
+        record.T_start_now.x() + record.T_start_now.theta()
+        for record in finished.records
+        if isinstance(record, Odometry)
+    ]
 
 
 def test_noise_that_is_nearly_nothing_changes_no_decision():
     """Exact sensors twice, with different draws of nothing."""
     one, other = run("rooms_with_doors", seed=1), run("rooms_with_doors", seed=2)
-    strip = [[told for told in decisions(finished) if told[0] in ("corner", "wall", "triangle")] for finished in (one, other)]
+    strip = [
+        [told for told in decisions(finished) if told[0] in ("corner", "wall", "triangle")] for finished in (one, other)
+    ]
     assert strip[0] == strip[1] and len(strip[0]) > 100
 
 
@@ -120,7 +127,10 @@ def test_moves_are_in_the_robots_own_terms():
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     moved = World("moved", tuple(ring @ turn.T + [1000.0, -500.0] for ring in world.rings))
     one, other = run(world, "typical", 3), run(moved, "typical", 3)
-    plain = [[told if len(told) < 3 or told[0] in ("corner", "wall") else told[2] for told in decisions(f)] for f in (one, other)]
+    plain = [
+        [told if len(told) < 3 or told[0] in ("corner", "wall") else told[2] for told in decisions(f)]
+        for f in (one, other)
+    ]
     assert plain[0] == plain[1]
     assert one.records[-1].stamp_s == pytest.approx(other.records[-1].stamp_s, abs=1e-4)
 
@@ -145,7 +155,7 @@ def test_the_explorer_holds_nothing_of_the_simulator():
     finished = run("paper_one_obstacle", "typical")
     explorer = finished.mission.explorer
     objects = list(reachable(explorer))
-    assert finished.mission.estimate in objects and explorer.free_map in objects
+    assert {id(finished.mission.estimate), id(explorer.free_map)} <= {id(found) for found in objects}
     assert from_sim(objects) == set()
     assert {"World", "Team", "Truth", "Sight"} <= from_sim(reachable(finished.team))  # the walk would find them
 
@@ -154,11 +164,10 @@ def test_the_explorer_says_moves_and_decisions_and_nothing_else():
     finished = run("paper_one_obstacle")
     kinds = {record.move.split("(")[0] for record in finished.records if isinstance(record, MoveNote)}
     assert kinds <= {kind.__name__ for kind in (DriveAway, FollowWall, GoToCorner, ReturnAlongContact)}
-    explorer = Explorer(ROBOTS)
-    explorer.look_at(finished.mission.estimate)
-    first = finished.records[0]
-    assert first.observer == ROBOTS[0]
-    assert len(list(islice(decisions(finished), 3))) == 3 and decisions(finished)[0] == ("corner", 0, True)
+    decided = [record for record in finished.records if isinstance(record, Decision)]
+    moved = [record for record in finished.records if isinstance(record, MoveNote)]
+    sensed = [record for record in finished.records if isinstance(record, Measurement)]
+    assert len(decided) + len(moved) + len(sensed) == len(finished.records) and decided and sensed
 
 
 def test_every_diagonal_of_the_map_is_free_in_truth():

@@ -26,7 +26,7 @@ def square() -> FreeMap:
     return map_with([RIGHT] * 4)
 
 
-# a square with a square hole: outer corners (0, 0) (4, 0) (4, 4) (0, 4) are 0 to 3; hole (1, 1) (1, 3) (3, 3) (3, 1): 4 to 7
+# a square with a square hole: corners (0, 0) (4, 0) (4, 4) (0, 4) are 0 to 3, (1, 1) (1, 3) (3, 3) (3, 1) are 4 to 7
 AROUND_A_HOLE = [  # gate, apex, wall at its end, wall at its start
     ((0, 1), 7, False, False),
     ((0, 7), 4, True, False),

@@ -38,7 +38,9 @@ def allowed(path: str) -> list[str]:
     if top == "coopslam" and part == "io":
         return ["coopslam.io", *VOCABULARY[:3]]
     if top == "coopslam" and part in LAYERS:
-        return [f"coopslam.{layer}" for layer in LAYERS[: LAYERS.index(part) + 1]] + (["coopslam.io"] if part == "report" else [])
+        return [f"coopslam.{layer}" for layer in LAYERS[: LAYERS.index(part) + 1]] + (
+            ["coopslam.io"] if part == "report" else []
+        )
     return OURS if top in ("scripts", "tests") else []
 
 

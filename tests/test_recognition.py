@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import chi2
 
 from coopslam.estimation.incremental import Incremental
+from coopslam.exploration.chart import Chart, ChartSettings
 from coopslam.exploration.free_map import FreeMap
 from coopslam.exploration.recognition import corner_distance_sq, fitting_sector, interior_angle_agrees
 from coopslam.records import CornerDecision, CornerSighting, Odometry, RelativePoseFix
@@ -111,6 +112,13 @@ def touched():
     return free_map, Known(poses)
 
 
+def fit(free_map: FreeMap, estimate: Known, gate: tuple[int, int], at_end: bool = False, at_start: bool = False):
+    """(sector, miss) of the triangle behind a gate at corner 0."""
+    chart = Chart(free_map, ChartSettings())
+    chart.look_at(estimate)
+    return fitting_sector(chart, 0, gate, at_end, at_start)
+
+
 @pytest.mark.parametrize(
     ("gate", "at_end", "at_start", "index", "miss_degrees"),
     [
@@ -126,21 +134,21 @@ def touched():
     ],
 )
 def test_the_sector_that_a_triangle_fits(touched, gate, at_end, at_start, index, miss_degrees):
-    sector, miss = fitting_sector(*touched, 0, gate, at_end, at_start)
+    sector, miss = fit(*touched, gate, at_end, at_start)
     assert sector.index == index and np.degrees(miss) == pytest.approx(miss_degrees, abs=1e-9)
 
 
 def test_a_direction_a_little_below_zero_is_not_a_full_turn_off(touched):
     free_map, estimate = touched
     estimate.poses[8] = estimate.poses[0] * at(-0.5)
-    sector, miss = fitting_sector(free_map, estimate, 0, (8, 4), False, False)
+    sector, miss = fit(free_map, estimate, (8, 4))
     assert sector.index == 0 and np.degrees(miss) == pytest.approx(0.5)
 
 
 def test_walls_that_are_taken_leave_no_sector(touched):
     free_map, estimate = touched
-    free_map.add_triangle((1, 0), 3, True, True) if (1, 0) in free_map.gates else free_map.add_triangle((1, 0), 3, True, True)
-    assert fitting_sector(free_map, estimate, 0, (8, 4), False, True)[0] is None  # its leaving wall goes to 3
-    assert fitting_sector(free_map, estimate, 0, (5, 6), True, False)[0].index == 2
-    sector, miss = fitting_sector(free_map, estimate, 0, (3, 4), False, False)  # only the far sector is left
+    free_map.add_triangle((1, 0), 3, True, True)
+    assert fit(free_map, estimate, (8, 4), False, True)[0] is None  # the wall that leaves the corner goes to 3
+    assert fit(free_map, estimate, (5, 6), True, False)[0].index == 2
+    sector, miss = fit(free_map, estimate, (3, 4))  # only the far sector is left
     assert sector.index == 2 and np.degrees(miss) == pytest.approx(110.0 + 80.0)

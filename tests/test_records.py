@@ -23,7 +23,9 @@ NAN, INF = float("nan"), float("inf")
 COV = np.diag([0.01, 0.02, 0.03]) ** 2
 GOOD = {
     Odometry: dict(start_s=1.0, stamp_s=2.0, robot="ann", T_start_now=Pose2(1, 0, 0.1), cov_now=COV),
-    RelativePoseFix: dict(stamp_s=2.0, observer="ann", target="bob", T_observer_target=Pose2(1, 2, 3), cov_observer=COV),
+    RelativePoseFix: dict(
+        stamp_s=2.0, observer="ann", target="bob", T_observer_target=Pose2(1, 2, 3), cov_observer=COV
+    ),
     BearingRangeFix: dict(stamp_s=2.0, observer="ann", target="bob", bearing_rad=0.5, range_m=3.0, cov=COV[:2, :2]),
     RangeFix: dict(stamp_s=2.0, observer="ann", target="bob", range_m=3.0, sigma_m=0.1),
     BearingFix: dict(stamp_s=2.0, observer="ann", target="bob", bearing_rad=0.5, sigma_rad=0.1),
@@ -64,7 +66,11 @@ NONSENSE = [
         for kind in (RelativePoseFix, BearingRangeFix, RangeFix, BearingFix)
     ],
     *[(kind, dict(bearing_rad=v), ["ann", str(v)]) for kind in (BearingFix, BearingRangeFix) for v in (NAN, INF)],
-    *[(kind, dict(range_m=v), ["ann", str(v), "2.000"]) for kind in (RangeFix, BearingRangeFix) for v in (NAN, INF, -0.5)],
+    *[
+        (kind, dict(range_m=v), ["ann", str(v), "2.000"])
+        for kind in (RangeFix, BearingRangeFix)
+        for v in (NAN, INF, -0.5)
+    ],
     *[(RangeFix, dict(sigma_m=v), ["ann", str(v), "2.000"]) for v in (0.0, -0.25, NAN, INF)],
     *[(BearingFix, dict(sigma_rad=v), ["ann", str(v), "2.000"]) for v in (0.0, -0.25, NAN, INF)],
     *[(CornerSighting, dict(interior_angle_sigma_rad=v), ["ann", str(v)]) for v in (0.0, -0.25, NAN, INF)],

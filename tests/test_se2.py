@@ -28,7 +28,9 @@ def test_adjoint_against_gtsam_and_numeric(pose):
     np.testing.assert_allclose(adjoint(pose), pose.AdjointMap(), rtol=1e-12, atol=1e-12)
     step = 1e-6
     moved = [xytheta((pose * Pose2(*(step * axis))) * pose.inverse()) / step for axis in np.eye(3)]
-    np.testing.assert_allclose(adjoint(pose), np.column_stack(moved), rtol=1e-5, atol=1e-5 * (1 + pose.range(np.zeros(2))))
+    np.testing.assert_allclose(
+        adjoint(pose), np.column_stack(moved), rtol=1e-5, atol=1e-5 * (1 + pose.range(np.zeros(2)))
+    )
 
 
 def test_a_leg_against_monte_carlo():

@@ -143,7 +143,9 @@ def test_an_exact_sensor_tells_the_truth():
 
 def test_truth_and_belief_are_two_things():
     true, believed = Noise(OdometryNoise(0.1, 0.1, 0.1)), Noise(OdometryNoise(0.01, 0.02, 0.03), TrackerNoise(0.5))
-    records = [sensors(true, believed, seed).odometry("a", np.arange(2.0), np.zeros(1), np.ones(1))[0] for seed in range(500)]
+    records = [
+        sensors(true, believed, seed).odometry("a", np.arange(2.0), np.zeros(1), np.ones(1))[0] for seed in range(500)
+    ]
     assert in_band([r.T_start_now.x() - 1.0 for r in records], 0.1)
     assert np.sqrt(np.mean([r.cov_now[0, 0] for r in records])) == pytest.approx(0.01, rel=0.02)
     fixes = [sensors(true, believed, seed).relative_pose(0.0, "a", "b", Pose2(1, 0, 0)) for seed in range(500)]

@@ -82,7 +82,9 @@ def test_contact_breaks_where_sampled_lines_leave_free_space(name):
     sight, free, rng = Sight(world), drawn_out(world), np.random.default_rng(2)
     corners = range(world.n)
     loose = inside(world, rng, 300)
-    drives = [(world.points[i], world.points[j], i) for i in corners for j in (world.next_index[i], world.prev_index[i])]
+    drives = [
+        (world.points[i], world.points[j], i) for i in corners for j in (world.next_index[i], world.prev_index[i])
+    ]
     pairs = rng.integers(world.n, size=(300, 2))
     drives += [(world.points[i], world.points[j], i) for i, j in pairs if i != j and _diagonal(free, world, i, j)][:40]
     drives += [(a, b, None) for a, b in zip(loose[:60], loose[60:120], strict=False) if visible(free, a, b[None])[0]]

@@ -66,7 +66,9 @@ def test_they_start_in_a_corner_and_a_step_along_its_wall():
     assert place(team, A) == pytest.approx([4, 0]) and place(team, B) == pytest.approx([4, 0.3])
     assert team.truth.origin.theta() == pytest.approx(pi / 2)
     corner, *fixes = step.records
-    assert xytheta(corner.T_observer_corner) == pytest.approx([0, 0, 0]) and corner.interior_angle_rad == pytest.approx(pi / 2)
+    assert xytheta(corner.T_observer_corner) == pytest.approx([0, 0, 0]) and corner.interior_angle_rad == pytest.approx(
+        pi / 2
+    )
     assert [(fix.observer, fix.target) for fix in fixes] == [(A, B), (B, A)]
     assert xytheta(fixes[0].T_observer_target) == pytest.approx([0.3, 0, 0])
     assert (step.corner, step.ended, step.travelled_m) == (corner, MoveEnd.CORNER, 0.0)
@@ -248,7 +250,11 @@ def test_exact_odometry_and_fixes_agree_with_the_truth():
 def test_closer_than_the_blind_range_the_tracker_sees_nothing():
     team = team_in(world_of(L), tracker_blind_m=0.5)
     step = team.execute(follow(B, Side.RIGHT))
-    assert all(record.T_observer_target.range(np.zeros(2)) > 0.5 for record in step.records if isinstance(record, RelativePoseFix))
+    assert all(
+        record.T_observer_target.range(np.zeros(2)) > 0.5
+        for record in step.records
+        if isinstance(record, RelativePoseFix)
+    )
     step = team.execute(follow(A, Side.RIGHT))  # ends where the partner stands
     last = [record for record in step.records if record.stamp_s == step.stamp_s]
     assert [type(record) for record in last] == [Odometry, CornerSighting]
@@ -256,8 +262,7 @@ def test_closer_than_the_blind_range_the_tracker_sees_nothing():
 
 def test_truth_stands_still_while_the_robot_stands():
     team = team_in(world_of(L))
-    for step in moves(team):
-        pass
+    *_, step = moves(team)
     track = team.truth.tracks[B]
     first_drive = team.truth.tracks[A].stamps_s[-1]
     arrived = next(t for t, pose in zip(track.stamps_s, track.poses, strict=True) if abs(pose.x() - 4.0) < 1e-12)
@@ -270,7 +275,9 @@ def test_truth_stands_still_while_the_robot_stands():
     for t in np.linspace(0.0, arrived, 50):
         (pose,) = interpolate_se2(np.array(track.stamps_s), track.poses, np.array([t]))
         assert pose.x() == pytest.approx(0.3 + 0.5 * t) and pose.y() == pytest.approx(0.0)
-    assert all(a <= b for track in team.truth.tracks.values() for a, b in zip(track.stamps_s, track.stamps_s[1:], strict=False))
+    assert all(
+        a <= b for track in team.truth.tracks.values() for a, b in zip(track.stamps_s, track.stamps_s[1:], strict=False)
+    )
 
 
 @pytest.mark.parametrize("period_s", [0.05, 0.5, 3.0])
@@ -333,7 +340,9 @@ def test_settings_refuse_what_cannot_be(setting, value):
         replace(TeamSettings(), **{setting: value})
 
 
-@pytest.mark.parametrize("where", [dict(start_corner=6), dict(start_ring=1), dict(start_corner=-1), dict(start_ring=-1)])
+@pytest.mark.parametrize(
+    "where", [dict(start_corner=6), dict(start_ring=1), dict(start_corner=-1), dict(start_ring=-1)]
+)
 def test_a_start_outside_the_world_is_refused(where):
     with pytest.raises(BadInput, match="start_ring, start_corner"):
         team_in(world_of(L), **where)

@@ -37,6 +37,7 @@ from coopslam.records import CornerDecision, CornerSighting, Decision, TriangleD
 from coopslam.se2 import Pose2
 
 NOWHERE_ELSE = np.zeros(2)
+MAX_HALVINGS = 16  # of a way that is aimed anew half way
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +128,10 @@ class Explorer:
         places, search = 0, iter([NOWHERE_ELSE])
         while (offset := next(search, None)) is not None:
             step = yield self._go_to_corner(mover, target, offset=offset)
-            while step.ended == MoveEnd.DISTANCE:  # watched on the way, it aims again
-                step = yield self._go_to_corner(mover, target, offset=offset)
+            for _ in range(MAX_HALVINGS):
+                if step.ended != MoveEnd.DISTANCE:
+                    break
+                step = yield self._go_to_corner(mover, target, offset=offset)  # watched on the way, it aims again
             if step.ended in (MoveEnd.CORNER, MoveEnd.PARTNER) and self._may_be(step.corner, target):
                 yield from self._know_again(step.corner, target, "found where it should be")
                 return
@@ -193,8 +196,7 @@ class Explorer:
                 target = None
         elif not sweep.boundary.is_wall:
             target = sweep.boundary.other
-        passed, search = {target}, None
-        offset = NOWHERE_ELSE
+        passed, search, offset, halvings = {target}, None, NOWHERE_ELSE, MAX_HALVINGS
         while True:
             watched, watch_for = next_known(self.chart, sweep, target, passed)
             if target is None:
@@ -213,9 +215,9 @@ class Explorer:
                 case MoveEnd.BEARING:
                     passed.add(watched)
                     if stands_between(self.chart, sweep, watched):
-                        target, search, offset = watched, None, NOWHERE_ELSE
-                case MoveEnd.DISTANCE:
-                    pass  # on the way to a known vertex: aim again
+                        target, search, offset, halvings = watched, None, NOWHERE_ELSE, MAX_HALVINGS
+                case MoveEnd.DISTANCE if target is not None and halvings > 0:
+                    halvings -= 1  # on the way to a known vertex: aim again
                 case MoveEnd.NOTHING if target is not None:
                     search = iter(self._places_to_search(sweep.mover, target)) if search is None else search
                     offset = next(search, None)
@@ -275,10 +277,16 @@ class Explorer:
             return (yield from self._new_vertex(sighting)), None
         fitting = [match for match in matches if match.sector is not None]
         if not fitting:
-            raise Stuck(f"{sighting.observer} found vertex {matches[0].vertex} behind gate {sweep.gate}, where it cannot be")
+            raise Stuck(
+                f"{sighting.observer} found vertex {matches[0].vertex} behind gate {sweep.gate}, where it cannot be"
+            )
         best, runner_up = fitting[0], fitting[1].distance_sq if len(fitting) > 1 else None
         yield Decided(
-            (CornerDecision(sighting.stamp_s, sighting, best.vertex, False, best.distance_sq, runner_up, "end of an open gate"),)
+            (
+                CornerDecision(
+                    sighting.stamp_s, sighting, best.vertex, False, best.distance_sq, runner_up, "end of an open gate"
+                ),
+            )
         )
         return best.vertex, best.sector.index
 

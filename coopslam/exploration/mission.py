@@ -134,5 +134,3 @@ def _spent(mission: Mission, budget: Budget) -> str:
         f"{mission.moves} moves and {sum(mission.travel_m.values()):.1f} m are spent "
         f"(allowed: {budget.moves} and {budget.travel_m:g} m); {gates} gates are still open"
     )
-
-

@@ -94,7 +94,7 @@ def sector_for(
 def fitting_sector(
     chart: Chart, apex: int, gate: tuple[int, int], wall_at_end: bool, wall_at_start: bool
 ) -> tuple[Sector | None, float]:
-    """The unexplored sector of a known vertex that the triangle behind `gate` fits best, and by how much it misses, rad.
+    """The unexplored sector of a known vertex that the triangle behind `gate` fits best, and its miss in rad.
 
     Angles are counter-clockwise from the wall that leaves the vertex; the triangle spans apex -> a to apex -> b.
     """

@@ -65,7 +65,7 @@ def next_known(chart: Chart, sweep: Sweep, target: int | None, passed: set) -> t
     """The next end of an open gate that the line of contact will meet, and its bearing in the watcher's frame.
 
     target: the known vertex to which the mover drives; None: it follows a wall.  passed: vertices to leave out.
-    Left out too: what lies beyond the mover's path, and vertices into whose unexplored space the triangle would not fit.
+    Left out too: what lies beyond the mover's path, and vertices in whose unexplored space the triangle does not fit.
     """
     ends = sorted({v for gate in chart.free_map.gates for v in gate} - passed - set(sweep.gate))
     if not ends:

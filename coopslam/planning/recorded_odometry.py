@@ -55,7 +55,9 @@ class RecordedOdometry:
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, estimate: Estimate):
         """graph: the factors that the estimate smoothed."""
-        chains = {key: (robot, k) for robot in estimate.robots for k, key in enumerate(estimate.timeline.tracks[robot].keys)}
+        chains = {
+            key: (robot, k) for robot in estimate.robots for k, key in enumerate(estimate.timeline.tracks[robot].keys)
+        }
         self.legs = []
         for i in range(graph.size()):
             factor = graph.at(i)

@@ -1,6 +1,7 @@
 """The run directory: what other people's scripts read, written file by file."""
 
 import json
+import shutil
 from pathlib import Path
 
 import gtsam
@@ -15,20 +16,45 @@ from coopslam.io.geojson import feature, write_feature_collection
 from coopslam.io.tum import write_tum
 from coopslam.se2 import position
 
-MARKER = "summary.json"
+FILES = (
+    "config.toml",
+    "log.mcap",
+    "map.geojson",
+    "dual_graph.json",
+    "pose_graph.g2o",
+    "pose_graph.keys.json",
+    "summary.json",
+    "report.html",
+)
+FOLDERS = ("trajectories", "figures", "truth")
 
 
 def prepare_run_directory(path: Path, force: bool) -> None:
-    """Make the directory. Raises BadInput when it already holds a run (or anything else) and `force` is not given."""
+    """Make the directory, without an older run in it. Raises BadInput when it holds one and `force` is not given."""
     if path.exists() and not path.is_dir():
         raise BadInput(f"--out {path}: is a file; a directory expected")
-    if path.is_dir() and any(path.iterdir()) and not force:
-        raise BadInput(f"--out {path}: already holds files; give another directory, or --force to overwrite")
+    held = [name for name in (*FILES, *FOLDERS) if (path / name).exists()]
+    if held and not force:
+        raise BadInput(
+            f"--out {path}: already holds a run ({held[0]}); give another directory, or --force to overwrite"
+        )
     try:
         path.mkdir(parents=True, exist_ok=True)
-        (path / MARKER).unlink(missing_ok=True)  # a run that does not finish must not show an older one's figures
+        for name in held:
+            shutil.rmtree(path / name) if name in FOLDERS else (path / name).unlink()
+        (path / ".writable").touch()
+        (path / ".writable").unlink()
     except OSError as error:
         raise BadInput(f"--out {path}: cannot be written: {error.strerror}") from error
+
+
+def fresh_directory(path: Path) -> Path:
+    """The path itself, or with the first number that is not yet taken."""
+    taken, number = path, 1
+    while taken.exists():
+        number += 1
+        taken = path.with_name(f"{path.name}-{number}")
+    return taken
 
 
 def write_trajectories(directory: Path, estimate: Estimate, causal: Estimate) -> None:

@@ -43,7 +43,9 @@ def _one(job: tuple[str, int, str]) -> dict:
 def _report(world: str, summaries: list[dict]) -> None:
     good = [summary for summary in summaries if is_success(summary)]
     wrong = [s["seed"] for s in summaries if s["outcome"] == "complete" and not is_success(s)]
-    print(f"\n{Path(world).stem}: {len(good)} of {len(summaries)} complete and true; wrong but called complete: {wrong or 'none'}")
+    print(
+        f"\n{Path(world).stem}: {len(good)} of {len(summaries)} complete and true; complete but wrong: {wrong or 'none'}"
+    )
     for summary in summaries:
         if summary["outcome"] != "complete":
             print(f"  seed {summary['seed']}: {summary['outcome']}: {summary['outcome_reason']}")
@@ -77,7 +79,9 @@ def _row(name: str, values: list[float]) -> None:
 def _band(name: str, values: list[float], dof: int) -> None:
     low, high = chi_square_band(dof, len(values))
     mean = float(np.mean(values))
-    print(f"  {name:30s} mean   {mean:8.3f}  band {low:.3f} .. {high:.3f}  {'inside' if low <= mean <= high else 'OUTSIDE'}")
+    error = float(np.std(values) / np.sqrt(len(values)))
+    inside = "inside" if low <= mean <= high else "OUTSIDE"
+    print(f"  {name:30s} mean   {mean:8.3f} +- {error:.3f}  band {low:.3f} .. {high:.3f}  {inside}")
 
 
 if __name__ == "__main__":
