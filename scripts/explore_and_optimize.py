@@ -150,10 +150,10 @@ def _print_result(finished: Exploration, out: Path, seconds: float) -> None:
     )
     print(
         f"{sum(summary['travel_m'].values()):.1f} m travelled, {summary['role_exchanges']} role exchanges, "
-        f"vertex rmse {100 * summary['vertex_rmse_m']:.2f} cm, vertex NEES {summary['vertex_nees_mean']:.2f} (2)"
+        f"vertex rmse {100 * summary['vertex_rmse_m']:.2f} cm, vertex NEES {summary['vertex_nees_mean']:.2f} (ideal 2)"
     )
     for name, scores in summary["estimators"].items():
-        print(f"{name:>14}: ATE {100 * scores['ate_rmse_m']:7.2f} cm, pose NEES {scores['nees_mean']:.2f} (3)")
+        print(f"{name:>14}: ATE {100 * scores['ate_rmse_m']:7.2f} cm, pose NEES {scores['nees_mean']:.2f} (ideal 3)")
     print(f"{out / 'report.html'} and the run directory {out} written in {seconds:.1f} s")
 
 

@@ -11,11 +11,15 @@ import numpy as np
 from sim.world import World
 
 TOLERANCE_M = 1e-9
+PROBE_M = 1e-4  # so far ahead is looked whether a robot at a wall heads into it
 
 
 @dataclass(frozen=True, slots=True)
 class Obstacle:
-    """What a straight drive meets first: a corner (vertex index) or a wall (index of its first vertex)."""
+    """What a straight drive meets first: a corner (vertex index) or a wall (index of its first vertex).
+
+    Neither, at distance zero: the drive leads straight into a wall at which it starts.
+    """
 
     distance_m: float
     corner: int | None = None
@@ -66,6 +70,8 @@ class Sight:
 
     def first_obstacle(self, origin, direction) -> Obstacle | None:
         """What a drive from `origin` along the unit vector `direction` meets first; touching a corner counts."""
+        if not self._is_free(origin + PROBE_M * direction):
+            return Obstacle(0.0)
         arm = self.points - origin
         along, beside = arm @ direction, cross(direction, arm)
         best = None

@@ -16,8 +16,6 @@ from sim.sensors import Sensors
 from sim.sight import TOLERANCE_M, Sight, cross
 from sim.world import World
 
-STAND_OFF_M = 0.01  # a robot that meets a wall on its way to a corner stops so far from it
-
 
 @dataclass(frozen=True, slots=True)
 class TeamSettings:
@@ -163,6 +161,8 @@ class Team:
             return self._drive(move, body.position + move.limit_m * direction, MoveEnd.DISTANCE)
         if obstacle.corner is not None:
             return self._drive(move, self.world.points[obstacle.corner], MoveEnd.CORNER, corner=obstacle.corner)
+        if obstacle.distance_m == 0.0:
+            return self._drive(move, body.position, MoveEnd.WALL, body.corner, body.wall)
         return self._drive(move, body.position + obstacle.distance_m * direction, MoveEnd.WALL, wall=obstacle.wall)
 
     def _go_to_corner(self, move: GoToCorner) -> Step:
@@ -181,10 +181,15 @@ class Team:
             (MoveEnd.NOTHING, length) if move.limit_m is None else (MoveEnd.DISTANCE, min(move.limit_m, length))
         )
         obstacle = self.sight.first_obstacle(body.position, way / length)
-        if obstacle is not None and obstacle.distance_m <= metres + STAND_OFF_M:
-            metres = max(obstacle.distance_m - STAND_OFF_M, 0.0)
-            ended = MoveEnd.NOTHING
-        return self._drive_watched(move, body.position + metres / length * way, None, None, ended)
+        if obstacle is None or obstacle.distance_m > metres:
+            return self._drive_watched(move, body.position + metres / length * way, None, None, ended)
+        if obstacle.distance_m == 0.0:  # it stands at a wall that leads across the way
+            return self._drive(move, body.position, MoveEnd.WALL, body.corner, body.wall)
+        if obstacle.corner is not None:
+            met = obstacle.corner
+            return self._drive_watched(move, self.world.points[met], met, None, self._end_at(move, met))
+        target = body.position + obstacle.distance_m / length * way
+        return self._drive_watched(move, target, None, obstacle.wall, MoveEnd.WALL)
 
     def _best_corner(self, body: Body, expected: Pose2, interior_angle: float) -> int | None:
         """The visible corner within the finder's reach of `expected` that looks most like it."""
@@ -212,7 +217,7 @@ class Team:
             return self._stop_on_the_way(move, target, lost, wall, MoveEnd.CONTACT)
         if seen is not None:
             return self._stop_on_the_way(move, target, seen, wall, MoveEnd.BEARING)
-        return self._drive(move, target, ended, corner=corner)
+        return self._drive(move, target, ended, corner, wall if ended == MoveEnd.WALL else None)
 
     def _end_at(self, move, corner: int) -> MoveEnd:
         return MoveEnd.PARTNER if self._bodies[move.watcher].corner == corner else MoveEnd.CORNER

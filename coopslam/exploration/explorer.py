@@ -132,6 +132,9 @@ class Explorer:
                 if step.ended != MoveEnd.DISTANCE:
                     break
                 step = yield self._go_to_corner(mover, target, offset=offset)  # watched on the way, it aims again
+            if step.ended == MoveEnd.WALL:  # off the free diagonal: the wall in the way leads on to a corner
+                side = Side.RIGHT if places % 2 == 0 else Side.LEFT
+                step = yield FollowWall(mover, self._partner(mover), side)
             if step.ended in (MoveEnd.CORNER, MoveEnd.PARTNER) and self._may_be(step.corner, target):
                 yield from self._know_again(step.corner, target, "found where it should be")
                 return
@@ -218,7 +221,7 @@ class Explorer:
                         target, search, offset, halvings = watched, None, NOWHERE_ELSE, MAX_HALVINGS
                 case MoveEnd.DISTANCE if target is not None and halvings > 0:
                     halvings -= 1  # on the way to a known vertex: aim again
-                case MoveEnd.NOTHING if target is not None:
+                case MoveEnd.NOTHING | MoveEnd.WALL if target is not None:
                     search = iter(self._places_to_search(sweep.mover, target)) if search is None else search
                     offset = next(search, None)
                     if offset is None:

@@ -35,9 +35,7 @@ def prepare_run_directory(path: Path, force: bool) -> None:
         raise BadInput(f"--out {path}: is a file; a directory expected")
     held = [name for name in (*FILES, *FOLDERS) if (path / name).exists()]
     if held and not force:
-        raise BadInput(
-            f"--out {path}: already holds a run ({held[0]}); give another directory, or --force to overwrite"
-        )
+        raise BadInput(f"--out {path}: already holds a run ({held[0]}); give another directory or --force")
     try:
         path.mkdir(parents=True, exist_ok=True)
         for name in held:

@@ -43,9 +43,7 @@ def _one(job: tuple[str, int, str]) -> dict:
 def _report(world: str, summaries: list[dict]) -> None:
     good = [summary for summary in summaries if is_success(summary)]
     wrong = [s["seed"] for s in summaries if s["outcome"] == "complete" and not is_success(s)]
-    print(
-        f"\n{Path(world).stem}: {len(good)} of {len(summaries)} complete and true; complete but wrong: {wrong or 'none'}"
-    )
+    print(f"\n{Path(world).stem}: {len(good)} of {len(summaries)} complete and true; complete but wrong: {wrong or 0}")
     for summary in summaries:
         if summary["outcome"] != "complete":
             print(f"  seed {summary['seed']}: {summary['outcome']}: {summary['outcome_reason']}")
