@@ -64,16 +64,14 @@ def rotation(angle_rad: float) -> np.ndarray:
 
 def planar_rotation(angle_rad: float) -> np.ndarray:
     """(3, 3) matrix that turns the x, y part of (x, y, theta) and leaves theta."""
-    matrix = np.eye(3)
-    matrix[:2, :2] = rotation(angle_rad)
-    return matrix
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def adjoint(pose: Pose2) -> np.ndarray:
     """(3, 3) Ad_T, with T * Pose2(e) = Pose2(Ad_T e) * T to first order in e."""
-    matrix = planar_rotation(pose.theta())
-    matrix[0, 2], matrix[1, 2] = pose.y(), -pose.x()
-    return matrix
+    c, s = pose.c(), pose.s()
+    return np.array([[c, -s, pose.y()], [s, c, -pose.x()], [0.0, 0.0, 1.0]])
 
 
 def position_covariance_in_parent(pose: Pose2, cov_body: np.ndarray) -> np.ndarray:

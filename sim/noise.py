@@ -42,10 +42,9 @@ class OdometryNoise(_Sigmas):
         d = abs(distance_m)
         q = self.drift_sigma_rad**2
         theta = q * d + self.rotation_sigma_rad**2 * abs(turn_rad) / (2 * np.pi)
-        cov = np.array(
-            [[self.translation_sigma_m**2 * d, 0, 0], [0, q * d**3 / 3, q * d**2 / 2], [0, q * d**2 / 2, theta]]
-        )
-        return cov + self.floor_sigma**2 * np.eye(3)
+        x, y = self.translation_sigma_m**2 * d, q * d**3 / 3
+        floor, y_theta = self.floor_sigma**2, q * d**2 / 2
+        return np.array([[x + floor, 0, 0], [0, y + floor, y_theta], [0, y_theta, theta + floor]])
 
 
 @dataclass(frozen=True, slots=True)

@@ -145,6 +145,18 @@ def test_a_direction_a_little_below_zero_is_not_a_full_turn_off(touched):
     assert sector.index == 0 and np.degrees(miss) == pytest.approx(0.5)
 
 
+@pytest.mark.xfail(
+    strict=True, reason="a sector that begins at 2 pi - epsilon: `outside` takes it for one that is empty"
+)
+def test_a_sector_that_begins_a_little_below_zero_has_its_full_width(touched):
+    """A flat triangle along the leaving wall: its edges lie at -1e-9 degrees, the sector from there to 180."""
+    free_map, estimate = touched
+    for vertex in (1, 2):
+        estimate.poses[vertex] = estimate.poses[0] * at(-1e-9, vertex)
+    sector, miss = fit(free_map, estimate, (2, 5))
+    assert sector.index == 2 and np.degrees(miss) == pytest.approx(0.0, abs=1e-6)
+
+
 def test_walls_that_are_taken_leave_no_sector(touched):
     free_map, estimate = touched
     free_map.add_triangle((1, 0), 3, True, True)

@@ -5,7 +5,6 @@ from math import atan2, hypot, pi
 
 import numpy as np
 import pytest
-import shapely
 
 from coopslam.errors import BadInput, BadMove
 from coopslam.evaluation.trajectory_error import interpolate_se2
@@ -182,9 +181,25 @@ def test_going_to_a_corner_that_is_not_there_finds_nothing():
     team = team_in(world_of(SQUARE, PILLAR))
     step = team.execute(GoToCorner(A, B, (1.0, 2.0, 0.0), 1.0))
     assert step.ended == MoveEnd.NOTHING and step.corner is None and place(team, A) == pytest.approx([1, 2])
-    step = team.execute(GoToCorner(A, B, (-5.0, 0.0, 0.0), 1.0))  # backwards into the wall: it stops short of it
-    assert step.ended == MoveEnd.NOTHING
-    assert team.world.polygon.exterior.distance(shapely.Point(place(team, A))) < 0.011
+
+
+def test_what_stands_in_the_way_to_a_corner_stops_the_robot():
+    """From (1, 2), looking along atan2(2, 1): a corner is promised beyond the wall x = 6, and one beyond the pillar."""
+    team = team_in(world_of(SQUARE, PILLAR))
+    team.execute(GoToCorner(A, B, (1.0, 2.0, 0.0), 1.0))
+    beyond = team.truth.pose_at(A, team.time_s).between(Pose2(8.0, 2.0, 0.0))
+    step = team.execute(GoToCorner(A, B, tuple(xytheta(beyond)), 1.0))
+    assert step.ended == MoveEnd.WALL and step.corner is None and place(team, A) == pytest.approx([6, 2])
+    team = team_in(world_of(SQUARE, PILLAR))
+    step = team.execute(GoToCorner(A, B, (4.0, 4.0, 0.0), 1.0))  # the diagonal meets the pillar's corner (2.5, 2.5)
+    assert step.ended == MoveEnd.CORNER and place(team, A) == pytest.approx([2.5, 2.5])
+    assert team.truth.sighted[step.stamp_s, A] == 4
+
+
+def test_going_a_part_of_the_way_to_a_corner():
+    team = team_in(world_of(SQUARE, PILLAR))
+    step = team.execute(GoToCorner(A, B, (3.0, 4.0, 0.0), 1.0, limit_m=1.5))
+    assert step.ended == MoveEnd.DISTANCE and place(team, A) == pytest.approx([0.9, 1.2]) and step.corner is None
 
 
 def test_going_to_a_corner_keeps_contact():

@@ -14,7 +14,7 @@ import numpy as np
 from coopslam.estimation.estimate import Estimate
 from coopslam.exploration.account import Stuck, account
 from coopslam.exploration.chart import Chart, ChartSettings
-from coopslam.exploration.free_map import FreeMap
+from coopslam.exploration.free_map import FreeMap, MapConflict
 from coopslam.exploration.moves import (
     DriveAway,
     FollowWall,
@@ -85,14 +85,17 @@ class Explorer:
 
     def _walk_first_wall(self, first: Step):
         watcher, mover = self.robots
-        self.at[watcher] = yield from self._new_vertex(first.corner)
+        corner = self._new_vertex(first.corner)
+        self.at[watcher] = corner.vertex
+        yield Decided((corner,))
         step = yield FollowWall(mover, watcher, Side.RIGHT)
         if step.ended != MoveEnd.CORNER:
             raise Stuck(f"the first wall ended with {step.ended}, not in a corner")
-        self.at[mover] = yield from self._new_vertex(step.corner)
+        corner = self._new_vertex(step.corner)
+        self.at[mover] = corner.vertex
         start, end = self.at[watcher], self.at[mover]
         self.free_map.add_first_wall(start, end)
-        yield Decided((WallDecision(step.stamp_s, start, end),))
+        yield Decided((corner, WallDecision(step.stamp_s, start, end)))
 
     # travel
 
@@ -249,27 +252,29 @@ class Explorer:
         """The mover stands in the apex: decide which vertex that is and add the triangle."""
         wall_at_end = walked_wall and sweep.turn > 0
         wall_at_start = walked_wall and sweep.turn < 0
-        apex, sector = yield from self._recognise(sweep, sighting, wall_at_end, wall_at_start)
+        corner, sector = self._recognise(sweep, sighting, wall_at_end, wall_at_start)
+        apex = corner.vertex
         self.at[sweep.mover] = apex
         a, b = sweep.gate
-        triangle = self.free_map.add_triangle(sweep.gate, apex, wall_at_end, wall_at_start, sector)
-        decided = []
-        if walked_wall:
-            start, end = (b, apex) if wall_at_end else (apex, a)
-            decided.append(WallDecision(sighting.stamp_s, start, end))
-        yield Decided((*decided, TriangleDecision(sighting.stamp_s, triangle, (a, b, apex))))
+        try:
+            triangle = self.free_map.add_triangle(sweep.gate, apex, wall_at_end, wall_at_start, sector)
+        except MapConflict:
+            yield Decided((corner,))  # the log tells what led to the conflict
+            raise
+        walls = [WallDecision(sighting.stamp_s, *((b, apex) if wall_at_end else (apex, a)))] if walked_wall else []
+        yield Decided((corner, *walls, TriangleDecision(sighting.stamp_s, triangle, (a, b, apex))))
         return True
 
     def _close_as_wall(self, sweep: Sweep, step: Step):
         """The mover walked the wall to its partner: the gate is that wall."""
-        yield from self._know_again(step.corner, sweep.pivot, "the partner stands there")
         start, end = self.free_map.close_as_wall(sweep.gate)
-        yield Decided((WallDecision(step.stamp_s, start, end),))
+        again = self._seen_again(step.corner, sweep.pivot, "the partner stands there")
+        yield Decided((again, WallDecision(step.stamp_s, start, end)))
 
     # which corner is this
 
     def _recognise(self, sweep: Sweep, sighting: CornerSighting, wall_at_end: bool, wall_at_start: bool):
-        """(vertex, sector): a known vertex and the sector that the triangle fills there, or a new one and None.
+        """(decision, sector): a known vertex and the sector that the triangle fills there, or a new one and None.
 
         Raises Stuck when the sighting looks like a known vertex at which the triangle does not fit: taking it for a
         new one would map a part of the world twice.
@@ -277,7 +282,7 @@ class Explorer:
         others = set(self.free_map.fans) - set(sweep.gate)
         matches = self._matches(sweep, sighting, others, wall_at_end, wall_at_start)
         if not matches:
-            return (yield from self._new_vertex(sighting)), None
+            return self._new_vertex(sighting), None
         fitting = [match for match in matches if match.sector is not None]
         if not fitting:
             raise Stuck(
@@ -301,14 +306,16 @@ class Explorer:
         vertex = len(self.free_map.fans)
         self.free_map.add_vertex(vertex, sighting.interior_angle_rad)
         self.chart.corner_angle_sigma = max(self.chart.corner_angle_sigma, sighting.interior_angle_sigma_rad)
-        yield Decided((CornerDecision(sighting.stamp_s, sighting, vertex, True),))
-        return vertex
+        return CornerDecision(sighting.stamp_s, sighting, vertex, True)
 
     def _know_again(self, sighting: CornerSighting, vertex: int, evidence: str):
+        yield Decided((self._seen_again(sighting, vertex, evidence),))
+
+    def _seen_again(self, sighting: CornerSighting, vertex: int, evidence: str) -> CornerDecision:
         """The robot came back to a vertex, by a way that leaves no doubt or after a test: one more factor."""
         distance_sq = corner_distance_sq(self.chart.estimate, sighting, vertex)
         self.at[sighting.observer] = vertex
-        yield Decided((CornerDecision(sighting.stamp_s, sighting, vertex, False, distance_sq, None, evidence),))
+        return CornerDecision(sighting.stamp_s, sighting, vertex, False, distance_sq, None, evidence)
 
     def _may_be(self, sighting: CornerSighting, vertex: int) -> bool:
         """Whether a sighting fits a vertex in place, direction and interior angle."""
