@@ -135,6 +135,11 @@ class CornerDecision:
     runner_up_sq: float | None = None  # the same for the best other candidate
     evidence: str = ""
 
+    def __post_init__(self):
+        _check_stamp(self.stamp_s, f"a corner decision on vertex {self.vertex}")
+        if self.vertex < 0:
+            raise BadRecord(f"a corner decision names vertex {self.vertex}; zero or more expected")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallDecision:
@@ -146,8 +151,10 @@ class WallDecision:
     straightness_sigma_rad: float = 1e-4
 
     def __post_init__(self):
+        _check_stamp(self.stamp_s, f"the wall from vertex {self.start} to {self.end}")
         if self.start == self.end:
             raise BadRecord(f"a wall from vertex {self.start} to itself at t = {self.stamp_s:.3f} s")
+        _check_sigma(self.straightness_sigma_rad, f"the wall from vertex {self.start} to {self.end}", self.stamp_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,6 +166,7 @@ class TriangleDecision:
     vertices: tuple[int, int, int]
 
     def __post_init__(self):
+        _check_stamp(self.stamp_s, f"triangle {self.triangle}")
         if len(set(self.vertices)) != 3:
             raise BadRecord(f"triangle {self.triangle} has the vertices {self.vertices}; three different ones expected")
 
@@ -172,6 +180,9 @@ class MoveNote:
     watcher: str
     move: str
     ended: str
+
+    def __post_init__(self):
+        _check_stamp(self.stamp_s, self.robot)
 
 
 Measurement = Odometry | RelativePoseFix | BearingRangeFix | RangeFix | BearingFix | CornerSighting

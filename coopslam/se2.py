@@ -70,7 +70,7 @@ def planar_rotation(angle_rad: float) -> np.ndarray:
 
 def adjoint(pose: Pose2) -> np.ndarray:
     """(3, 3) Ad_T, with T * Pose2(e) = Pose2(Ad_T e) * T to first order in e."""
-    c, s = pose.c(), pose.s()
+    c, s = np.cos(pose.theta()), np.sin(pose.theta())
     return np.array([[c, -s, pose.y()], [s, c, -pose.x()], [0.0, 0.0, 1.0]])
 
 

@@ -64,9 +64,8 @@ class Sight:
             if (neighbours > TOLERANCE_M).any():
                 return 0.0
         swept = inside & (ahead > TOLERANCE_M) & (passed > TOLERANCE_M)
-        if not swept.any():
-            return None
-        return float(np.min(-cross(line, arm[swept]) / cross(drive, arm[swept])))
+        breaks = [float(np.min(-cross(line, arm[swept]) / cross(drive, arm[swept])))] if swept.any() else []
+        return min(breaks + self._hidden_behind_touched(watcher, start, drive, turn), default=None)
 
     def first_obstacle(self, origin, direction) -> Obstacle | None:
         """What a drive from `origin` along the unit vector `direction` meets first; touching a corner counts."""
@@ -147,6 +146,18 @@ class Sight:
         straddles = (arm[:, 1] > 0) != (tip[:, 1] > 0)
         left = cross(arm[straddles], tip[straddles]) * np.sign(tip[straddles, 1] - arm[straddles, 1]) > 0
         return bool(np.count_nonzero(left) % 2)
+
+    def _hidden_behind_touched(self, watcher, start, drive, turn: float) -> list[float]:
+        """Fractions of a drive at which it passes a corner that hides the robot from then on."""
+        length = np.hypot(*drive)
+        arm = self.points - start
+        along = arm @ drive / length
+        touched = (np.abs(cross(drive, arm)) <= TOLERANCE_M * length) & (along > TOLERANCE_M)
+        return [
+            float(along[corner] / length)
+            for corner in np.flatnonzero(touched & (along < length - TOLERANCE_M))
+            if not self._leaves_freely(corner, watcher - self.points[corner], drive, turn)
+        ]
 
     def _leaves_freely(self, corner: int, to_watcher, drive, turn: float) -> bool:
         """Whether the wedge that the line of contact sweeps next to a corner is free of the corner's own obstacle."""

@@ -4,6 +4,7 @@ Event-driven: where a move ends is computed, not stepped to; then the leg is sam
 Truth stays here; `Team.truth` is its own door, for evaluation and figures only.
 """
 
+import re
 from bisect import bisect_right
 from dataclasses import dataclass, field
 
@@ -35,18 +36,18 @@ class TeamSettings:
 
     def __post_init__(self):
         for name in ("start_step_m", "speed_m_per_s", "turn_rate_rad_per_s", "odometry_period_s", "sighting_period_s"):
-            if not getattr(self, name) > 0:
+            if not 0 < getattr(self, name) < np.inf:
                 raise BadInput(f"{name}: more than zero expected, got {getattr(self, name)}")
         for name in ("finder_reach_m", "tracker_blind_m"):
-            if getattr(self, name) < 0:
+            if not 0 <= getattr(self, name) < np.inf:
                 raise BadInput(f"{name}: zero or more expected, got {getattr(self, name)}")
-        if self.sightings_per_leg < 1:
+        if not 1 <= self.sightings_per_leg < np.inf:
             raise BadInput(f"sightings_per_leg: 1 or more expected, got {self.sightings_per_leg}")
         if len(self.robots) != 2 or len(set(self.robots)) != 2:
             raise BadInput(f"robots: two different names expected, got {', '.join(self.robots) or 'none'}")
         for name in self.robots:
-            if not name.replace("_", "").replace("-", "").isalnum():
-                raise BadInput(f"robots: names of letters, digits, - and _ expected, got {name!r}")
+            if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", name):
+                raise BadInput(f"robots: names of up to 40 letters, digits, - and _ expected, got {name!r}")
 
 
 @dataclass(slots=True)
@@ -112,6 +113,7 @@ class Team:
 
     def execute(self, move: Move) -> Step:
         """Execute one move. Raises BadMove when it makes no sense where the robot stands."""
+        self._check(move)
         match move:
             case FollowWall():
                 return self._follow_wall(move)
@@ -121,7 +123,22 @@ class Team:
                 return self._drive_away(move)
             case GoToCorner():
                 return self._go_to_corner(move)
-        raise BadMove(f"unknown move {move!r}")
+
+    def _check(self, move: Move) -> None:
+        if not isinstance(move, Move):
+            raise BadMove(f"unknown move {move!r}")
+        for robot in (move.robot, move.watcher):
+            if robot not in self._bodies:
+                raise BadMove(f"no robot is called {robot!r}; there are {', '.join(self._bodies)}")
+        if move.robot == move.watcher:
+            raise BadMove(f"{move.robot} cannot watch itself")
+        limit = getattr(move, "limit_m", None)
+        if limit is not None and not limit >= 0:
+            raise BadMove(f"{move.robot} cannot drive {limit} m; zero or more expected")
+        if isinstance(move, FollowWall) and move.wall_on not in tuple(Side):
+            raise BadMove(f"a wall is on the left or on the right, not on {move.wall_on!r}")
+        if isinstance(move, GoToCorner) and not np.isfinite(move.corner_body).all():
+            raise BadMove(f"{move.robot} cannot go to {move.corner_body}; finite numbers expected")
 
     # moves
 

@@ -145,9 +145,6 @@ def test_a_direction_a_little_below_zero_is_not_a_full_turn_off(touched):
     assert sector.index == 0 and np.degrees(miss) == pytest.approx(0.5)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="a sector that begins at 2 pi - epsilon: `outside` takes it for one that is empty"
-)
 def test_a_sector_that_begins_a_little_below_zero_has_its_full_width(touched):
     """A flat triangle along the leaving wall: its edges lie at -1e-9 degrees, the sector from there to 180."""
     free_map, estimate = touched

@@ -139,7 +139,6 @@ def test_grazing_does_not_break_and_an_obstacle_ahead_breaks_at_once():
     assert sight.contact_break(watcher, np.array([7.0, 0.0]), np.array([9.0, 0.0])) == pytest.approx(0.5)
 
 
-@pytest.mark.xfail(strict=True, reason="a corner on the drive itself does not count as hiding the robot")
 def test_a_corner_that_the_drive_touches_may_hide_the_robot():
     """Along y = 2, under the pillar: from (3, 6) it hides the robot as soon as that is past (4, 2), half the way."""
     sight = Sight(world_of(HALL, PILLAR))

@@ -68,11 +68,19 @@ class Chart:
         return (0.0 if opening > 2 * np.pi - margin else opening), margin
 
     def sector_limits(self, vertex: int, sector: Sector) -> tuple[float, float]:
-        """Directions of a sector's two sides from the wall that leaves the vertex, in [0, 2 pi), rad."""
+        """Directions of a sector's two sides from the wall that leaves the vertex, rad.
+
+        An edge along a wall may be measured a little outside of the free angle; its direction is not wrapped there.
+        """
         low, high = sector.clockwise, sector.counter_clockwise
-        first = 0.0 if low.is_wall else self.bearing(vertex, low.other)
-        last = self.free_map.interior_angles[vertex] if high.is_wall else self.bearing(vertex, high.other)
+        first = 0.0 if low.is_wall else self._free_bearing(vertex, low.other)
+        last = self.free_map.interior_angles[vertex] if high.is_wall else self._free_bearing(vertex, high.other)
         return first, last
+
+    def _free_bearing(self, corner: int, other: int) -> float:
+        """Direction of another vertex, cut open in the middle of the corner's own obstacle instead of at its wall."""
+        angle, interior = self.bearing(corner, other), self.free_map.interior_angles[corner]
+        return angle - 2 * np.pi if angle > (interior + 2 * np.pi) / 2 else angle
 
     def sector_slack(self, vertex: int, others) -> float:
         """How far the direction of others may lie outside a sector of a vertex and still count as inside, rad."""

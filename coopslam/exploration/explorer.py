@@ -289,20 +289,17 @@ class Explorer:
                 f"{sighting.observer} found vertex {matches[0].vertex} behind gate {sweep.gate}, where it cannot be"
             )
         best, runner_up = fitting[0], fitting[1].distance_sq if len(fitting) > 1 else None
-        yield Decided(
-            (
-                CornerDecision(
-                    sighting.stamp_s, sighting, best.vertex, False, best.distance_sq, runner_up, "end of an open gate"
-                ),
-            )
+        known = CornerDecision(
+            sighting.stamp_s, sighting, best.vertex, False, best.distance_sq, runner_up, "end of an open gate"
         )
-        return best.vertex, best.sector.index
+        return known, best.sector.index
 
     def _matches(self, sweep: Sweep, sighting: CornerSighting, vertices, wall_at_end=False, wall_at_start=False):
         limits = self.settings.recognition
         return known_corners(self.chart, limits, sighting, sweep.gate, vertices, wall_at_end, wall_at_start)
 
-    def _new_vertex(self, sighting: CornerSighting):
+    def _new_vertex(self, sighting: CornerSighting) -> CornerDecision:
+        """A vertex that the map gets, and the decision that says so."""
         vertex = len(self.free_map.fans)
         self.free_map.add_vertex(vertex, sighting.interior_angle_rad)
         self.chart.corner_angle_sigma = max(self.chart.corner_angle_sigma, sighting.interior_angle_sigma_rad)
