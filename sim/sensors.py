@@ -56,6 +56,10 @@ class Sensors:
             self.believed.finder.interior_angle_sigma_rad,
         )
 
+    def bearing_error(self) -> float:
+        """Of a bearing that the tracker watches for, rad."""
+        return float(self.rng.standard_normal()) * self.true.tracker.bearing_sigma_rad
+
     def _draw(self, cov: np.ndarray) -> np.ndarray:
         """(3,) zero-mean normal vector; an exact sensor draws too, so that the stream does not depend on the noise."""
         white = self.rng.standard_normal(3)

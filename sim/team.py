@@ -5,14 +5,15 @@ Truth stays here; `Team.truth` is its own door, for evaluation and figures only.
 """
 
 import re
-from bisect import bisect_right
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from coopslam.errors import BadInput, BadMove
 from coopslam.exploration.moves import DriveAway, FollowWall, GoToCorner, Move, MoveEnd, ReturnAlongContact, Side, Step
+from coopslam.records import Odometry
 from coopslam.se2 import Pose2, wrap
+from sim.homing import Waypoint, best_corner, cut_off, way_to_corner
 from sim.sensors import Sensors
 from sim.sight import TOLERANCE_M, Sight, cross
 from sim.world import World
@@ -79,16 +80,6 @@ class Truth:
         self.world = world
         self.tracks = {robot: TruthTrack() for robot in robots}
         self.sighted: dict[tuple[float, str], int] = {}  # (stamp, observer) -> flat index of the corner
-
-    @property
-    def origin(self) -> Pose2:
-        """True start pose of the first robot in the world: the estimated frame."""
-        return next(iter(self.tracks.values())).poses[0]
-
-    def pose_at(self, robot: str, stamp_s: float) -> Pose2:
-        """True pose at a sampled instant, or at the last one before it (the robot stood still since)."""
-        track = self.tracks[robot]
-        return track.poses[max(bisect_right(track.stamps_s, stamp_s + 1e-9) - 1, 0)]
 
 
 class Team:
@@ -183,43 +174,60 @@ class Team:
         return self._drive(move, body.position + obstacle.distance_m * direction, MoveEnd.WALL, wall=obstacle.wall)
 
     def _go_to_corner(self, move: GoToCorner) -> Step:
-        body = self._bodies[move.robot]
+        body, reach = self._bodies[move.robot], self.settings.finder_reach_m
         expected = body.pose * Pose2(*move.corner_body)
         aim = np.array([expected.x(), expected.y()])
-        if move.limit_m is None:
-            corner = self._best_corner(body, expected, move.interior_angle_rad)
-            if corner is not None:
-                return self._drive_watched(move, self.world.points[corner], corner, None, self._end_at(move, corner))
-        way = aim - body.position
-        length = float(np.hypot(*way))
-        if length <= TOLERANCE_M:
-            return self._drive(move, body.position, MoveEnd.NOTHING, body.corner, body.wall)
-        ended, metres = (
-            (MoveEnd.NOTHING, length) if move.limit_m is None else (MoveEnd.DISTANCE, min(move.limit_m, length))
-        )
-        obstacle = self.sight.first_obstacle(body.position, way / length)
-        if obstacle is None or obstacle.distance_m > metres:
-            return self._drive_watched(move, body.position + metres / length * way, None, None, ended)
-        if obstacle.distance_m == 0.0:  # it stands at a wall that leads across the way
-            return self._drive(move, body.position, MoveEnd.WALL, body.corner, body.wall)
-        if obstacle.corner is not None:
-            met = obstacle.corner
-            return self._drive_watched(move, self.world.points[met], met, None, self._end_at(move, met))
-        target = body.position + obstacle.distance_m / length * way
-        return self._drive_watched(move, target, None, obstacle.wall, MoveEnd.WALL)
+        way = way_to_corner(self.sight, Waypoint(body.position, body.corner, body.wall), aim, reach)
+        shortened = False
+        if move.limit_m is not None:
+            way, shortened = cut_off(body.position, way, move.limit_m)
+        step = self._drive_along(move, way)
+        if step.ended == MoveEnd.CONTACT and move.keep_contact:
+            step = _joined(step, self._sidestep(move, aim))
+        if step.ended != MoveEnd.NOTHING:
+            return step
+        if shortened:
+            return replace(step, ended=MoveEnd.DISTANCE)
+        found = best_corner(self.sight, body.position, expected, move.interior_angle_rad, reach, self._look(move.robot))
+        if found is None:
+            return step
+        there = self.world.points[found]
+        return _joined(step, self._drive_watched(move, there, found, None, self._end_at(move, found)))
 
-    def _best_corner(self, body: Body, expected: Pose2, interior_angle: float) -> int | None:
-        """The visible corner within the finder's reach of `expected` that looks most like it."""
-        at = np.array([expected.x(), expected.y()])
-        best, best_score = None, np.inf
-        for corner in self.sight.corners_near(at, self.settings.finder_reach_m):
-            offset = np.hypot(*(self.world.points[corner] - at)) / self.settings.finder_reach_m
-            turned = wrap(self._corner_pose(corner).theta() - expected.theta())
-            bent = self.world.interior_angle(corner) - interior_angle
-            score = offset**2 + turned**2 + bent**2
-            if score < best_score and self.sight.sees(body.position, self.world.points[corner]):
-                best, best_score = int(corner), score
-        return best
+    def _sidestep(self, move, aim: np.ndarray) -> Step:
+        """Drive along the line of contact, which cannot break it, to where the aim is nearest."""
+        body, watcher = self._bodies[move.robot], self._bodies[move.watcher]
+        line = body.position - watcher.position
+        length = float(np.hypot(*line))
+        if length <= TOLERANCE_M:
+            return Step(self.time_s, (), MoveEnd.CONTACT)
+        outward = line / length
+        metres = max(float((aim - body.position) @ outward), -length)
+        if metres > 0:
+            obstacle = self.sight.first_obstacle(body.position, outward)
+            metres = min(metres, obstacle.distance_m) if obstacle else metres
+        return self._drive(move, body.position + metres * outward, MoveEnd.NOTHING)
+
+    def _drive_along(self, move, way: list[Waypoint]) -> Step:
+        """Drive a way, stretch by stretch; ended NOTHING when all of it was driven."""
+        step = Step(self.time_s, (), MoveEnd.NOTHING)
+        for stop in way:
+            more = self._drive_watched(move, stop.position, stop.corner, stop.wall, MoveEnd.NOTHING)
+            step = _joined(step, more)
+            if step.ended != MoveEnd.NOTHING:
+                break
+        return step
+
+    def _look(self, robot: str):
+        """How the finder of a robot sees a corner: corner -> (oriented corner in the world, interior angle)."""
+
+        def look(corner: int) -> tuple[Pose2, float]:
+            pose = self._bodies[robot].pose
+            interior = self.world.interior_angle(corner)
+            seen = self.sensors.corner(self.time_s, robot, pose.between(self._corner_pose(corner)), interior)
+            return pose * seen.T_observer_corner, seen.interior_angle_rad
+
+        return look
 
     # driving
 
@@ -229,12 +237,13 @@ class Team:
         lost = self.sight.contact_break(watcher.position, body.position, target, body.corner)
         seen = None
         if move.watch_for_rad is not None:
-            seen = _bearing_crossing(watcher, body.position, target, watcher.heading + move.watch_for_rad)
+            bearing = watcher.heading + move.watch_for_rad - self.sensors.bearing_error()
+            seen = _bearing_crossing(watcher, body.position, target, bearing)
         if lost is not None and (seen is None or lost <= seen):
             return self._stop_on_the_way(move, target, lost, wall, MoveEnd.CONTACT)
         if seen is not None:
             return self._stop_on_the_way(move, target, seen, wall, MoveEnd.BEARING)
-        return self._drive(move, target, ended, corner, wall if ended == MoveEnd.WALL else None)
+        return self._drive(move, target, ended, corner, wall if corner is None else None)
 
     def _end_at(self, move, corner: int) -> MoveEnd:
         return MoveEnd.PARTNER if self._bodies[move.watcher].corner == corner else MoveEnd.CORNER
@@ -271,7 +280,8 @@ class Team:
         body.corner, body.wall = corner, wall
         if corner is not None and ended in (MoveEnd.CORNER, MoveEnd.PARTNER):
             records.append(self._corner_sighting(move.robot))
-        return Step(self.time_s, tuple(records), ended, distance)
+        travelled = sum(record.T_start_now.x() for record in records if isinstance(record, Odometry))
+        return Step(self.time_s, tuple(records), ended, travelled)
 
     def _sample_turn(self, robot: str, turn: float) -> list:
         if abs(turn) < 1e-12:
@@ -347,6 +357,11 @@ class Team:
             position = start + k * step * (end - start) / length
             bodies[robot] = Body(position, heading, corner if k == 0 else None, None if k == 0 else corner)
         return bodies
+
+
+def _joined(first: Step, then: Step) -> Step:
+    """Two stretches as one step."""
+    return Step(then.stamp_s, first.records + then.records, then.ended, first.travelled_m + then.travelled_m)
 
 
 def _bearing_crossing(watcher: Body, start, end, bearing_rad: float) -> float | None:

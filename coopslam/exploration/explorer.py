@@ -130,11 +130,11 @@ class Explorer:
         """Drive to a known vertex in the open, search for it if need be, and make sure that it is the one."""
         places, search = 0, iter([NOWHERE_ELSE])
         while (offset := next(search, None)) is not None:
-            step = yield self._go_to_corner(mover, target, offset=offset)
+            step = yield self._go_to_corner(mover, target, None, offset, keep_contact=True)
             for _ in range(MAX_HALVINGS):
                 if step.ended != MoveEnd.DISTANCE:
-                    break
-                step = yield self._go_to_corner(mover, target, offset=offset)  # watched on the way, it aims again
+                    break  # else: watched on the way, it aims again
+                step = yield self._go_to_corner(mover, target, None, offset, keep_contact=True)
             if step.ended == MoveEnd.WALL:  # off the free diagonal: the wall in the way leads on to a corner
                 side = Side.RIGHT if places % 2 == 0 else Side.LEFT
                 step = yield FollowWall(mover, self._partner(mover), side)
@@ -147,7 +147,12 @@ class Explorer:
         raise Stuck(f"{mover} looked for vertex {target} in {places} places and did not find it ({step.ended})")
 
     def _go_to_corner(
-        self, mover: str, target: int, watch_for_rad: float | None = None, offset: np.ndarray = NOWHERE_ELSE
+        self,
+        mover: str,
+        target: int,
+        watch_for_rad: float | None = None,
+        offset: np.ndarray = NOWHERE_ELSE,
+        keep_contact: bool = False,
     ) -> GoToCorner:
         """offset: (2,) from where the vertex should be, axes of the map, m."""
         vertex = self.chart.vertex(target)
@@ -162,6 +167,7 @@ class Explorer:
             self.free_map.interior_angles[target],
             watch_for_rad,
             metres / 2 if far_off and not offset.any() else None,
+            keep_contact,
         )
 
     def _places_to_search(self, mover: str, target: int) -> list[np.ndarray]:

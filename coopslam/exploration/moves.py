@@ -17,7 +17,7 @@ class MoveEnd(StrEnum):
     """Why a move ended."""
 
     CORNER = "corner"  # the robot stands in a corner
-    PARTNER = "partner"  # the robot reached its partner, which stands in a corner
+    PARTNER = "partner"  # the robot bumped into its partner, which stands in the corner that it reached
     CONTACT = "contact"  # one step more would break the line of visual contact
     BEARING = "bearing"  # the watcher sees the robot at the bearing it was asked to watch for
     WALL = "wall"  # a wall, between its corners, stopped the robot
@@ -54,7 +54,7 @@ class DriveAway:
 
 @dataclass(frozen=True, slots=True)
 class GoToCorner:
-    """Drive straight to where a known corner should be and home on the one found there that fits best."""
+    """Drive to where a known corner should be, along walls that are in the way, and home on the corner found there."""
 
     robot: str
     watcher: str
@@ -62,6 +62,7 @@ class GoToCorner:
     interior_angle_rad: float
     watch_for_rad: float | None = None  # as for FollowWall
     limit_m: float | None = None  # drive at most so far; the next move can be aimed better
+    keep_contact: bool = False  # where contact would break, go on along the line of contact as far as that leads nearer
 
 
 Move = FollowWall | ReturnAlongContact | DriveAway | GoToCorner
@@ -69,7 +70,10 @@ Move = FollowWall | ReturnAlongContact | DriveAway | GoToCorner
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """What executing a move returned: everything sensed on the way, in order, and why the move ended."""
+    """What executing a move returned: everything sensed on the way, in order, and why the move ended.
+
+    travelled_m: by the robot's own odometry.
+    """
 
     stamp_s: float
     records: tuple[Record, ...]
