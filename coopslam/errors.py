@@ -1,5 +1,7 @@
 """The one family of errors that scripts turn into a line and an exit code."""
 
+from math import isfinite
+
 
 class CoopSlamError(Exception):
     """Base of every error that coopslam raises on purpose."""
@@ -25,3 +27,10 @@ class BadMove(CoopSlamError):
     """A move that the addressed robot cannot execute where it stands."""
 
     exit_code = 3
+
+
+def require_positive(**settings: float) -> None:
+    """Raises BadInput for the first setting that is not finite and more than zero."""
+    for name, value in settings.items():
+        if not (isfinite(value) and value > 0):
+            raise BadInput(f"{name}: more than zero expected, got {value}")

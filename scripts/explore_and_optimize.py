@@ -1,14 +1,16 @@
 """Two robots explore a polygonal world that they do not know; GTSAM smooths what they sense; out comes a map."""
 
 import os
+import re
 import sys
 import time
+from argparse import ArgumentTypeError
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from _cli import OneLineParser, run
-from _exploration import DRIVERS, Exploration, ExplorationSettings, draw, explore
+from _exploration import DRIVERS, Exploration, ExplorationSettings, draw, explore, prepare
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
@@ -18,7 +20,7 @@ from coopslam.exploration.mission import Progress
 from coopslam.io.toml import from_mapping, load_toml
 from coopslam.report.run_directory import fresh_directory, prepare_run_directory
 from sim.noise import PRESETS
-from sim.world import load_world, world_names
+from sim.world import world_names
 
 PLAIN_LINE_EVERY_S = 2.0
 
@@ -27,12 +29,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, explore, draw, print. Returns the exit code."""
     options = _parser().parse_args(arguments)
     settings = _settings(options)
-    world = load_world(settings.world)
-    out = options.out or fresh_directory(Path("runs") / f"{world.name}-{settings.noise}-{settings.seed}")
+    ready = prepare(settings)  # whatever the settings get wrong comes before an old run is deleted
+    world = ready.world.name
+    out = options.out or fresh_directory(Path("runs") / f"{_slug(world)}-{settings.noise_name}-{settings.seed}")
     prepare_run_directory(out, options.force)
+    if settings.figures == "all":
+        print("the animation is not part of this version: static figures are drawn")
     began = time.perf_counter()
-    with ProgressDisplay(world.name) as display:
-        finished = explore(settings, out, display.show)
+    with ProgressDisplay(world) as display:
+        finished = explore(ready, out, display.show)
     draw(finished, out)
     _print_result(finished, out, time.perf_counter() - began)
     if finished.mission.outcome != "complete":
@@ -49,7 +54,7 @@ def _parser() -> OneLineParser:
         help=f"a GeoJSON file (one Polygon, holes allowed, metres) or one of: {', '.join(world_names())}; "
         f"default: {ExplorationSettings().world}",
     )
-    parser.add_argument("--config", metavar="C.toml", type=Path, help="settings from a TOML file; options go before it")
+    parser.add_argument("--config", metavar="C.toml", type=Path, help="settings from a TOML file; options override it")
     parser.add_argument("--seed", metavar="N", type=int, help="of all random numbers; default: 0")
     parser.add_argument(
         "--noise",
@@ -62,10 +67,13 @@ def _parser() -> OneLineParser:
         "--estimator", metavar="E", choices=[*DRIVERS], help="that steers: incremental (default) or batch"
     )
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, help="run directory; default: a new one, runs/WORLD-NOISE-SEED"
+        "--out", metavar="DIR", type=_path, help="run directory; default: a new one, runs/WORLD-NOISE-SEED"
     )
     parser.add_argument(
-        "--figures", metavar="F", choices=["none", "static", "all"], help="none, static (default) or all"
+        "--figures",
+        metavar="F",
+        choices=["none", "static", "all"],
+        help="none, static (default) or all; the animation is not part of this version, so all draws the static ones",
     )
     parser.add_argument("--max-moves", metavar="N", type=int, help="stop with outcome budget after so many moves")
     parser.add_argument(
@@ -82,12 +90,25 @@ def _settings(options) -> ExplorationSettings:
         settings = from_mapping(ExplorationSettings, load_toml(options.config), str(options.config))
     given = {name: getattr(options, name) for name in ("world", "seed", "noise", "estimator", "figures")}
     settings = replace(settings, **{name: value for name, value in given.items() if value is not None})
+    if options.noise is not None:
+        settings = replace(settings, true_noise=None, believed_noise=None)
     budget = {"moves": options.max_moves, "travel_m": options.max_travel}
     budget = {name: value for name, value in budget.items() if value is not None}
     settings = replace(settings, budget=replace(settings.budget, **budget))
     if settings.seed < 0:
         raise BadInput(f"seed: zero or more expected, got {settings.seed}")
     return settings
+
+
+def _path(text: str) -> Path:
+    if not text.strip():
+        raise ArgumentTypeError("a directory expected, got nothing")
+    return Path(text)
+
+
+def _slug(name: str) -> str:
+    """A world's name as part of a path."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".")[:60] or "world"
 
 
 class ProgressDisplay:
@@ -143,17 +164,26 @@ def _table(world: str, progress: Progress) -> Table:
 def _print_result(finished: Exploration, out: Path, seconds: float) -> None:
     summary = finished.summary
     print(f"{summary['outcome']}: {summary['outcome_reason']}")
-    print(
-        f"{summary['vertices']} vertices, {summary['holes']} holes, {summary['triangles']} triangles "
-        f"(expected {summary['triangles_expected']}), covered {summary['covered_fraction']:.6f}, "
-        f"overlap {summary['overlap_fraction']:.1e}"
-    )
-    print(
-        f"{sum(summary['travel_m'].values()):.1f} m travelled, {summary['role_exchanges']} role exchanges, "
-        f"vertex rmse {100 * summary['vertex_rmse_m']:.2f} cm, vertex NEES {summary['vertex_nees_mean']:.2f} (ideal 2)"
-    )
+    found = f"{summary['vertices']} vertices, {summary['holes']} holes, {summary['triangles']} triangles"
+    if "covered_fraction" in summary:
+        found += (
+            f" (expected {summary['triangles_expected']}), covered {summary['covered_fraction']:.6f}, "
+            f"overlap {summary['overlap_fraction']:.1e}"
+        )
+    print(found)
+    driven = f"{sum(summary['travel_m'].values()):.1f} m travelled, {summary['role_exchanges']} role exchanges"
+    if summary.get("vertex_rmse_m") is not None and summary.get("vertex_nees_mean") is not None:
+        driven += (
+            f", vertex rmse {100 * summary['vertex_rmse_m']:.2f} cm, "
+            f"vertex NEES {summary['vertex_nees_mean']:.2f} (ideal 2)"
+        )
+    print(driven)
     for name, scores in summary["estimators"].items():
-        print(f"{name:>14}: ATE {100 * scores['ate_rmse_m']:7.2f} cm, pose NEES {scores['nees_mean']:.2f} (ideal 3)")
+        if None not in (scores["ate_rmse_m"], scores["nees_mean"]):
+            ate, nees = 100 * scores["ate_rmse_m"], scores["nees_mean"]
+            print(f"{name:>14}: ATE {ate:7.2f} cm, pose NEES {nees:.2f} (ideal 3)")
+    if "left_out" in summary:
+        print(f"left out (reasons are in summary.json): {', '.join(summary['left_out'])}")
     print(f"{out / 'report.html'} and the run directory {out} written in {seconds:.1f} s")
 
 

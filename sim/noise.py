@@ -5,23 +5,25 @@ those of the paper's section 4: 3 cm after 1 m, 2 degrees of drift after 1 m, 3 
 """
 
 from dataclasses import dataclass, field, fields
-from math import isfinite, radians
+from math import radians
 
 import numpy as np
 
 from coopslam.errors import BadInput
 
+MOST = 1e3  # m or rad, of any sigma
+
 
 class _Sigmas:
-    """Refuses sigmas that are negative or not finite."""
+    """Refuses sigmas that are negative, not finite or beyond all measure."""
 
     __slots__ = ()
 
     def __post_init__(self):
         for entry in fields(self):
             value = getattr(self, entry.name)
-            if not isfinite(value) or value < 0:
-                raise BadInput(f"{entry.name}: zero or more expected, got {value}")
+            if not 0 <= value <= MOST:
+                raise BadInput(f"{entry.name}: zero or more expected, at most {MOST:g}, got {value}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +33,7 @@ class OdometryNoise(_Sigmas):
     translation_sigma_m: float = 0.03  # after 1 m
     drift_sigma_rad: float = radians(2.0)  # of heading, after 1 m
     rotation_sigma_rad: float = radians(3.0)  # after 360 degrees
-    floor_sigma: float = 1e-4  # m and rad, of each step; keeps the covariance of a pure turn regular
+    floor_sigma: float = 1e-6  # m and rad, of each step: regular after a pure turn; too small to depend on the rate
 
     def covariance(self, turn_rad: float, distance_m: float) -> np.ndarray:
         """(3, 3) covariance of one small step, axes of its end.

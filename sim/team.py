@@ -5,6 +5,7 @@ Truth stays here; `Team.truth` is its own door, for evaluation and figures only.
 """
 
 import re
+from bisect import bisect_right
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -80,6 +81,16 @@ class Truth:
         self.world = world
         self.tracks = {robot: TruthTrack() for robot in robots}
         self.sighted: dict[tuple[float, str], int] = {}  # (stamp, observer) -> flat index of the corner
+
+    @property
+    def origin(self) -> Pose2:
+        """True start pose of the first robot in the world: the estimated frame."""
+        return next(iter(self.tracks.values())).poses[0]
+
+    def pose_at(self, robot: str, stamp_s: float) -> Pose2:
+        """True pose at a sampled instant, or at the last one before it (the robot stood still since)."""
+        track = self.tracks[robot]
+        return track.poses[max(bisect_right(track.stamps_s, stamp_s + 1e-9) - 1, 0)]
 
 
 class Team:
@@ -338,6 +349,9 @@ class Team:
 
     def _note_truth(self, robot: str) -> None:
         track = self.truth.tracks[robot]
+        if track.stamps_s and track.stamps_s[-1] == self.time_s:
+            track.stamps_s.pop()
+            track.poses.pop()
         track.stamps_s.append(self.time_s)
         track.poses.append(self._bodies[robot].pose)
 

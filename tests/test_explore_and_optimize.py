@@ -15,9 +15,11 @@ import shapely
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 sys.path.insert(0, str(SCRIPTS))
 
+import _exploration  # noqa: E402
 from _cli import run  # noqa: E402
 from explore_and_optimize import main  # noqa: E402
 
+from coopslam.errors import UnderDetermined  # noqa: E402
 from coopslam.io.run_log import read_run_log  # noqa: E402
 from coopslam.io.tum import read_tum  # noqa: E402
 from coopslam.records import CornerDecision, MoveNote, Odometry, TriangleDecision  # noqa: E402
@@ -69,6 +71,10 @@ def without_seconds(value):
     if isinstance(value, dict):
         return {key: without_seconds(item) for key, item in value.items() if not key.endswith("_seconds")}
     return value
+
+
+def files_of(out: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
 
 
 def summary_of(out: Path):
@@ -230,10 +236,21 @@ BAD_CONFIGS = {
     "table.toml": "team = 4",
     "speed.toml": "[team]\nspeed_m_per_s = -1.0",
     "sigma.toml": "[true_noise.odometry]\ntranslation_sigma_m = -0.1",
+    "doubt.toml": "[believed_noise.tracker]\nheading_sigma_rad = 0.0",
+    "huge.toml": "[true_noise.odometry]\ntranslation_sigma_m = 1e200",
+    "threshold.toml": "[incremental]\nrelinearize_threshold = 0.0",
+    "rounds.toml": "[incremental]\nrounds = -1",
     "robots.toml": '[team]\nrobots = ["ann", "ann"]',
     "start.toml": "[team]\nstart_corner = 99",
     "seed.toml": "seed = -1",
     "budget.toml": "[budget]\nmoves = 0",
+}
+NAMED_KEY = {
+    "start.toml": "start_corner",
+    "doubt.toml": "believed_noise.tracker.heading_sigma_rad",
+    "huge.toml": "translation_sigma_m",
+    "threshold.toml": "relinearize_threshold",
+    "rounds.toml": "rounds",
 }
 BAD_ARGUMENTS = [
     (["--world", "nowhere"], "nowhere"),
@@ -242,7 +259,7 @@ BAD_ARGUMENTS = [
     (["--world", "{dir}"], ""),
     (["--config", "missing.toml"], "missing.toml"),
     (["--config", "{dir}"], ""),
-    *[(["--config", f"{{dir}}/{name}"], "start_corner" if name == "start.toml" else "") for name in BAD_CONFIGS],
+    *[(["--config", f"{{dir}}/{name}"], NAMED_KEY.get(name, "")) for name in BAD_CONFIGS],
     (["--wrold", "x"], "--wrold"),
     (["surplus"], "surplus"),
     (["--noise", "loud"], "loud"),
@@ -256,6 +273,7 @@ BAD_ARGUMENTS = [
     (["--max-moves", "-5"], "-5"),
     (["--max-travel", "0"], "0 m"),
     (["--max-travel", "nan"], "nan"),
+    (["--max-travel", "inf"], "inf"),
     (["--max-travel", "far"], "far"),
 ]
 
@@ -321,6 +339,131 @@ def test_out_of_budget_is_exit_code_3_and_everything_is_written(option, value, t
     assert gates and f"{len(gates)} gate" in summary["outcome_reason"]
     read_run_log(out / "log.mcap")
     nx.node_link_graph(load(out / "dual_graph.json"), edges="edges")
+
+
+BARE = [
+    *["world", "seed", "noise", "estimator", "outcome", "outcome_reason", "vertices", "holes", "triangles", "moves"],
+    *["role_exchanges", "travel_m", "total_seconds"],
+]
+
+
+def test_a_robot_that_is_never_placed_leaves_a_run_behind(tmp_path, capsys):
+    (tmp_path / "blind.toml").write_text("[team]\ntracker_blind_m = 50.0", encoding="utf-8")
+    out = tmp_path / "run"
+    assert call("--config", tmp_path / "blind.toml", "--out", out) == 3
+    require_one_line(capsys.readouterr().err, "stuck", "robot1 has no place yet")
+    summary = load(out / "summary.json")
+    assert [key for key in BARE if key not in summary] == []
+    assert summary["outcome"] == "stuck" and "robot1" in summary["outcome_reason"]
+    assert "robot1" in summary["left_out"]["trajectories/robot1.tum"]
+    assert (out / "trajectories" / "robot0.tum").is_file() and (out / "report.html").is_file()
+    values = gtsam.readG2o(str(out / "pose_graph.g2o"), False)[1]
+    assert values.size() == len(load(out / "pose_graph.keys.json"))
+    read_run_log(out / "log.mcap")
+
+
+@pytest.mark.parametrize("updates", [0, 7])
+@pytest.mark.parametrize("estimator", ["incremental", "batch"])
+def test_an_estimator_that_fails_leaves_a_run_behind(estimator, updates, tmp_path, capsys, monkeypatch):
+    """From a certain update on its equations have no solution, for the batch solver neither."""
+    driver, left = _exploration.DRIVERS[estimator], [updates]
+
+    def fail(*arguments):
+        raise UnderDetermined("no solution")
+
+    def counted(self, records, update=driver.update):
+        left[0] -= 1
+        if left[0] < 0:
+            monkeypatch.setattr("coopslam.estimation.incremental.Incremental._ask", fail)
+            monkeypatch.setattr("coopslam.estimation.batch.solve_batch", fail)
+            monkeypatch.setattr(_exploration, "solve_batch", fail)
+        return update(self, records)
+
+    monkeypatch.setattr(driver, "update", counted)
+    out = tmp_path / "run"
+    assert call("--estimator", estimator, "--out", out) == 3
+    require_one_line(capsys.readouterr().err, "stuck", "no solution")
+    summary = load(out / "summary.json")
+    assert [key for key in BARE if key not in summary] == []
+    assert summary["left_out"]["estimators.batch"] == "no solution" and (out / "report.html").is_file()
+    assert (updates == 0) == (not (out / "trajectories" / "robot0.tum").is_file())
+
+
+def test_an_estimate_that_contradicts_the_records_is_not_complete(tmp_path, capsys):
+    """The robots believe that their trackers are fifty times as good as they are."""
+    (tmp_path / "sure.toml").write_text(
+        "[believed_noise.tracker]\nrange_sigma_m = 1e-4\nrange_sigma_per_m = 2e-4\nlateral_sigma_m = 1e-4\n"
+        "bearing_sigma_rad = 7e-5\nheading_sigma_rad = 7e-4",
+        encoding="utf-8",
+    )
+    out = tmp_path / "run"
+    arguments = ("--config", tmp_path / "sure.toml", "--max-moves", 9, "--figures", "none", "--out", out)
+    assert call(*arguments) == 3
+    require_one_line(capsys.readouterr().err, "stuck")
+    summary = load(out / "summary.json")
+    assert summary["outcome"] == "stuck" and summary["noise"] == "custom"
+    assert "does not explain the records (chi-square per degree of freedom:" in summary["outcome_reason"]
+
+
+def test_a_given_preset_wins_over_the_tables_of_a_config(tmp_path):
+    (tmp_path / "c.toml").write_text("[true_noise.odometry]\ndrift_sigma_rad = 0.2", encoding="utf-8")
+    arguments = ("--config", tmp_path / "c.toml", "--max-moves", 2, "--figures", "none", "--out")
+    assert call(*arguments, tmp_path / "custom") == call("--noise", "none", *arguments, tmp_path / "none") == 3
+    assert summary_of(tmp_path / "custom")["noise"] == "custom" and summary_of(tmp_path / "none")["noise"] == "none"
+    config = tomllib.loads((tmp_path / "none" / "config.toml").read_text(encoding="utf-8"))
+    assert config["true_noise"]["odometry"]["drift_sigma_rad"] == 0
+
+
+def test_wrong_settings_do_not_cost_an_old_run(finished, capsys):
+    before = files_of(finished)
+    for name, content in (
+        ("start_corner", BAD_CONFIGS["start.toml"]),
+        ("heading_sigma_rad", BAD_CONFIGS["doubt.toml"]),
+    ):
+        config = finished.parent / f"{name}.toml"
+        config.write_text(content, encoding="utf-8")
+        assert call("--config", config, "--out", finished, "--force") == 2
+        require_one_line(capsys.readouterr().err, name)
+    assert call("--world", "nowhere", "--out", finished, "--force") == 2
+    assert files_of(finished) == before
+
+
+def test_an_empty_or_endless_out_is_bad_input(capsys):
+    for out in ("", " ", "x" * 5000):
+        assert call("--out", out) == 2
+        require_one_line(capsys.readouterr().err, "--out")
+
+
+@pytest.mark.parametrize(
+    ("name", "folder"), [("../../evil", "_.._evil"), ("a b/ü", "a_b_"), ("w" * 500, "w" * 60), ("...", "world")]
+)
+def test_the_name_of_a_world_is_no_path(name, folder, tmp_path, monkeypatch):
+    world = {"type": "Feature", "properties": {"name": name}, "geometry": {"type": "Polygon", "coordinates": [SQUARE]}}
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "w.geojson").write_text(json.dumps(world), encoding="utf-8")
+    monkeypatch.chdir(tmp_path / "here")
+    assert call("--world", "w.geojson", "--figures", "none") == 0
+    (out,) = (tmp_path / "here" / "runs").iterdir()
+    assert out.name == f"{folder}-typical-0" and sorted(p.name for p in tmp_path.iterdir()) == ["here"]
+    monkeypatch.chdir(tmp_path)
+    assert call("--config", out / "config.toml", "--out", tmp_path / "again") == 0
+    assert summary_of(tmp_path / "again") == summary_of(out)
+
+
+def test_the_missing_animation_is_said(tmp_path, capsys):
+    assert call("--max-moves", 1, "--figures", "all", "--out", tmp_path / "run") == 3
+    assert [line for line in capsys.readouterr().out.splitlines() if "animation is not part of this version" in line]
+    assert (tmp_path / "run" / "figures" / "map.png").is_file()
+
+
+@pytest.mark.parametrize("table", ["true_noise", "believed_noise"])
+def test_the_largest_sigmas_end_in_one_line(table, tmp_path, capsys):
+    odometry = "translation_sigma_m = 1e3\ndrift_sigma_rad = 1e3\nrotation_sigma_rad = 1e3"
+    (tmp_path / "c.toml").write_text(f"[{table}.odometry]\n{odometry}", encoding="utf-8")
+    code = call("--config", tmp_path / "c.toml", "--max-moves", 20, "--figures", "none", "--out", tmp_path / "run")
+    assert code == 3
+    require_one_line(capsys.readouterr().err, "exploration")
+    assert [key for key in BARE if key not in load(tmp_path / "run" / "summary.json")] == []
 
 
 def test_end_to_end_in_a_process_of_its_own(tmp_path):

@@ -47,7 +47,7 @@ def test_a_legs_covariance_does_not_depend_on_the_sampling_rate(noise, turn, dis
 
 
 def test_the_floor_does_not_show_after_a_metre():
-    """The step's floor of 0.1 mm and 0.1 mrad keeps single covariances regular and is no part of the law."""
+    """The step's floor of 1 µm and 1 µrad keeps single covariances regular and is no part of the law."""
     for steps in (1, 10):
         deltas, covs = [Pose2(1 / steps, 0, 0)] * steps, [OdometryNoise().covariance(0.0, 1 / steps)] * steps
         np.testing.assert_allclose(compose_leg(deltas, covs)[1], NO_FLOOR.covariance(0.0, 1.0), rtol=0.01, atol=1e-7)

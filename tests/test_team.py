@@ -183,17 +183,24 @@ def test_going_to_a_corner_that_is_not_there_finds_nothing():
     assert step.ended == MoveEnd.NOTHING and step.corner is None and place(team, A) == pytest.approx([1, 2])
 
 
-def test_what_stands_in_the_way_to_a_corner_stops_the_robot():
+def test_a_wall_in_the_way_is_followed_towards_the_corner():
     """From (1, 2), looking along atan2(2, 1): a corner is promised beyond the wall x = 6, and one beyond the pillar."""
     team = team_in(world_of(SQUARE, PILLAR))
     team.execute(GoToCorner(A, B, (1.0, 2.0, 0.0), 1.0))
     beyond = team.truth.pose_at(A, team.time_s).between(Pose2(8.0, 2.0, 0.0))
     step = team.execute(GoToCorner(A, B, tuple(xytheta(beyond)), 1.0))
-    assert step.ended == MoveEnd.WALL and step.corner is None and place(team, A) == pytest.approx([6, 2])
+    assert step.ended == MoveEnd.NOTHING and step.corner is None and place(team, A) == pytest.approx([6, 2])
     team = team_in(world_of(SQUARE, PILLAR))
+    start = place(team, A)
     step = team.execute(GoToCorner(A, B, (4.0, 4.0, 0.0), 1.0))  # the diagonal meets the pillar's corner (2.5, 2.5)
-    assert step.ended == MoveEnd.CORNER and place(team, A) == pytest.approx([2.5, 2.5])
-    assert team.truth.sighted[step.stamp_s, A] == 4
+    assert step.ended != MoveEnd.WALL and np.hypot(*(place(team, A) - start)) > np.hypot(2.5, 2.5) - 1e-9
+
+
+def test_a_wall_leads_to_the_corner_that_the_aim_just_misses():
+    """The corner (6, 0) is promised 20 cm beyond the wall: the robot meets the wall and finds it there."""
+    team = team_in(world_of(SQUARE))
+    step = team.execute(GoToCorner(A, B, (6.1, -0.2, pi / 2), pi / 2))
+    assert step.ended == MoveEnd.CORNER and place(team, A) == pytest.approx([6, 0])
 
 
 def test_going_a_part_of_the_way_to_a_corner():

@@ -1,1 +1,1 @@
-"""The vision robot tracker: target, camera, rendering, detection and calibration."""
+"""For the vision robot tracker: nothing else yet; its statistical model is `sim.noise.TrackerNoise`."""

@@ -35,6 +35,13 @@ def solve_batch(graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, robots
     return gtsam.LevenbergMarquardtOptimizer(graph, initial, parameters).optimize()
 
 
+def chi_square(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> tuple[float, int]:
+    """Squared normalized residuals of a solved graph, and its degrees of freedom, which is what they should be."""
+    factors = [graph.at(i) for i in range(graph.size())]
+    rows = sum(factor.dim() for factor in factors if factor is not None)
+    return 2 * graph.error(values), rows - values.dim()
+
+
 class Batch:
     """Solves everything again at each update, from where the last solution was."""
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
+from coopslam.errors import UnderDetermined
 from coopslam.estimation.graph_check import in_words
 
 
@@ -18,7 +19,7 @@ class Covariances:
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, robots: Sequence[str] = ()):
         linear = graph.linearize(values)
         ordering = gtsam.Ordering.MetisGaussianFactorGraph(linear)
-        self._robots = robots
+        self._graph, self._values, self._robots = graph, values, robots
         self._tree = self._told(linear.eliminateMultifrontal, ordering, gtsam.EliminateQR)
 
     def marginal(self, key: int) -> np.ndarray:
@@ -32,5 +33,7 @@ class Covariances:
     def _told(self, function, *arguments):
         try:
             return function(*arguments)
+        except IndexError as error:
+            raise UnderDetermined("a variable has no estimate: the update that made it failed") from error
         except RuntimeError as error:
-            raise in_words(error, self._robots) from error
+            raise in_words(error, self._graph, self._values, self._robots) from error

@@ -80,8 +80,11 @@ class Estimate(ABC):
         return Trajectory(self._stamps(keys), poses, self._covariances(keys))
 
     def causal_trajectory(self, robot: str) -> Trajectory:
-        """Each pose as known right after the update that made it; without covariances."""
-        keys = self._keys(robot)
+        """Each pose as known right after the update that made it; without covariances.
+
+        Poses of an update that failed were never known, and are not among them.
+        """
+        keys = [key for key in self._keys(robot) if key in self._causal]
         return Trajectory(self._stamps(keys), [self._causal[key] for key in keys])
 
     def keep_causal(self, keys: Iterable[int]) -> None:

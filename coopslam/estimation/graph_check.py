@@ -55,12 +55,20 @@ def complaints(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, robots: 
     return [f"{_listing(variables, robots)} {what}" for what, variables in found if variables]
 
 
-def in_words(error: RuntimeError, robots: Sequence[str] = ()) -> Exception:
-    """GTSAM's complaint about a variable that nothing ties down, with its name; other errors as they are."""
+def in_words(
+    error: RuntimeError, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, robots: Sequence[str] = ()
+) -> Exception:
+    """GTSAM's complaint about an open direction, with the name of the variable; other errors as they are.
+
+    Where counting finds nothing untied, it is the numbers that are singular.
+    """
     found = re.search(r"variable\s+(\d+)", str(error))
     if "ndetermin" not in str(error) or not found:
         return error
-    return UnderDetermined(f"the records do not tie down what is around {describe(int(found[1]), robots)}")
+    where = describe(int(found[1]), robots)
+    if complaints(graph, values, robots):
+        return UnderDetermined(f"the records do not tie down what is around {where}")
+    return UnderDetermined(f"the system of equations is numerically singular around {where}")
 
 
 def _listing(keys: list[int], robots: Sequence[str]) -> str:

@@ -3,14 +3,17 @@
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from math import inf
 
 import gtsam
 import numpy as np
 
+from coopslam.errors import BadInput, UnderDetermined
 from coopslam.estimation import deep_stack
 from coopslam.estimation.covariances import Covariances
 from coopslam.estimation.estimate import Estimate
 from coopslam.estimation.graph_check import in_words
+from coopslam.estimation.keys import describe
 from coopslam.estimation.timeline import Timeline
 from coopslam.records import Record
 from coopslam.se2 import Pose2
@@ -23,6 +26,13 @@ class IncrementalSettings:
     relinearize_threshold: float = 3e-3  # m or rad: what 3 mrad bend a 10 m lever is 45 micrometres
     wildfire_threshold: float = 1e-5  # m or rad: smaller changes are not carried on
     rounds: int = 3  # at most so many extra steps in an update that moved variables beyond the threshold
+
+    def __post_init__(self):
+        for name in ("relinearize_threshold", "wildfire_threshold"):
+            if not 0 < getattr(self, name) < inf:
+                raise BadInput(f"{name}: more than zero and finite expected, got {getattr(self, name)}")
+        if self.rounds < 0:
+            raise BadInput(f"rounds: zero or more expected, got {self.rounds}")
 
 
 class Incremental:
@@ -49,7 +59,7 @@ class Incremental:
 
     def values(self) -> gtsam.Values:
         """All variables as known now."""
-        return self._isam.calculateBestEstimate()
+        return self._ask(self._isam.calculateBestEstimate)
 
     def _smooth(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         if graph.size() == 0:
@@ -64,7 +74,7 @@ class Incremental:
         try:
             return deep_stack.call(function, *arguments, variables=len(self.timeline.stamps))
         except RuntimeError as error:
-            raise in_words(error, self.timeline.robots) from error
+            raise in_words(error, self.graph, self._isam.getLinearizationPoint(), self.timeline.robots) from error
 
 
 class IncrementalEstimate(Estimate):
@@ -80,7 +90,10 @@ class IncrementalEstimate(Estimate):
         self._covariance_of = {}
 
     def value(self, key: int) -> Pose2:
-        return self._owner._isam.calculateEstimatePose2(key)
+        try:
+            return self._owner._isam.calculateEstimatePose2(key)
+        except IndexError as error:
+            raise UnderDetermined(f"{describe(key, self.robots)} has no estimate: the update failed") from error
 
     def covariance(self, key: int) -> np.ndarray:
         if key not in self._covariance_of:

@@ -6,6 +6,7 @@ import gtsam
 import numpy as np
 import shapely
 
+from coopslam.errors import UnderDetermined
 from coopslam.estimation.estimate import Estimate, Trajectory
 from coopslam.evaluation.bound import bound_rmse_aligned
 from coopslam.evaluation.consistency import position_nees, trajectory_nees
@@ -32,26 +33,34 @@ class ExplorationTruth:
         return np.array([position(corner) for corner in self.corners])
 
 
-def score_map(free_map: FreeMap, estimate: Estimate, truth: ExplorationTruth) -> dict:
-    """Figures of the triangulation on the true vertices, and of the vertices' estimate.
+def score_triangulation(free_map: FreeMap, truth: ExplorationTruth) -> dict:
+    """Figures of the triangulation on the true vertices, which need no estimate.
 
     A true triangulation names distinct real corners, and each of its triangles is free.
     """
     triangles = [tuple(truth.corner_of[v] for v in vertices) for vertices in free_map.triangles.values()]
     distinct = len(set(truth.corner_of.values())) == len(truth.corner_of) and truth.misnamed == 0
     covered, overlap, free = judge(triangles, truth.points, truth.polygon)
-    vertices = list(free_map.fans)
-    where = np.array([position(estimate.vertex(v)) for v in vertices])
-    really = truth.points[[truth.corner_of[v] for v in vertices]]
-    T_start_world = _start(estimate, truth).inverse()
-    anchored = np.array([T_start_world.transformFrom(point) for point in really])
-    covs = np.array([estimate.vertex_belief(v).position_covariance for v in vertices])
     return {
         "triangles_expected": truth.triangles_expected,
         "true_area_m2": truth.polygon.area,
         "covered_fraction": covered,
         "overlap_fraction": overlap,
         "true_triangulation": bool(distinct and free),
+    }
+
+
+def score_vertices(free_map: FreeMap, estimate: Estimate, truth: ExplorationTruth) -> dict:
+    """Errors and honesty of the map's vertices. Raises UnderDetermined when there is none."""
+    vertices = list(free_map.fans)
+    if not vertices:
+        raise UnderDetermined("no vertex was found")
+    where = np.array([position(estimate.vertex(v)) for v in vertices])
+    really = truth.points[[truth.corner_of[v] for v in vertices]]
+    T_start_world = _start(estimate, truth).inverse()
+    anchored = np.array([T_start_world.transformFrom(point) for point in really])
+    covs = np.array([estimate.vertex_belief(v).position_covariance for v in vertices])
+    return {
         "vertex_rmse_m": vertex_rmse(where, really) if len(vertices) > 1 else 0.0,
         "vertex_nees_mean": float(position_nees(where, covs, anchored).mean()),
     }
@@ -95,6 +104,8 @@ def _start(estimate: Estimate, truth: ExplorationTruth) -> Pose2:
     """True start pose of the first robot in the world: the origin of the estimate."""
     first = estimate.robots[0]
     track = truth.tracks[first]
+    if not estimate.timeline.tracks[first].keys:
+        raise UnderDetermined(f"{first} has no pose")
     return interpolate_se2(track.stamps_s, track.poses, _stamps(estimate, first)[:1])[0]
 
 

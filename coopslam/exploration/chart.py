@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from coopslam.errors import require_positive
 from coopslam.estimation.estimate import Estimate
 from coopslam.exploration.free_map import Boundary, FreeMap, Sector
 from coopslam.se2 import Pose2, adjoint, largest_sigma, position, rotation
@@ -20,6 +21,13 @@ class ChartSettings:
     place_sigmas: float = 3.0
     sector_slack_max_rad: float = 0.35  # a direction further outside a sector never counts as inside
 
+    def __post_init__(self):
+        require_positive(
+            angle_sigmas=self.angle_sigmas,
+            place_sigmas=self.place_sigmas,
+            sector_slack_max_rad=self.sector_slack_max_rad,
+        )
+
 
 class Chart:
     """Asks the estimate for what decisions need; positions are cached until the next estimate."""
@@ -29,6 +37,7 @@ class Chart:
         self.estimate: Estimate | None = None
         self.corner_angle_sigma = 0.0  # of measured interior angles, rad
         self._vertices: dict[int, Pose2] = {}
+        self._former: dict[int, np.ndarray] = {}  # positions as last asked, for a first coarse look
 
     def look_at(self, estimate: Estimate) -> None:
         """Read off this estimate from now on."""
@@ -39,7 +48,21 @@ class Chart:
         """T_world_vertex of an oriented corner."""
         if vertex not in self._vertices:
             self._vertices[vertex] = self.estimate.vertex(vertex)
+            self._former[vertex] = position(self._vertices[vertex])
         return self._vertices[vertex]
+
+    def near(self, place: np.ndarray, reach_m: float) -> list[int]:
+        """Vertices within reach of (2,) `place`.
+
+        Only those that were within twice the reach and a metre when they were last asked for are asked again.
+        """
+        for vertex in self.free_map.fans:
+            if vertex not in self._former:
+                self.vertex(vertex)
+        vertices = list(self._former)
+        apart = np.hypot(*(np.array([self._former[vertex] for vertex in vertices]) - place).T)
+        coarse = (vertices[k] for k in np.flatnonzero(apart <= 2 * reach_m + 1.0))
+        return sorted(vertex for vertex in coarse if np.hypot(*(self.position(vertex) - place)) <= reach_m)
 
     def position(self, vertex: int) -> np.ndarray:
         """(2,) m."""

@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from coopslam.errors import require_positive
 from coopslam.estimation.estimate import Estimate
 from coopslam.exploration.account import Stuck, account
-from coopslam.exploration.chart import Chart, ChartSettings
+from coopslam.exploration.chart import SAME_PLACE_M, Chart, ChartSettings
 from coopslam.exploration.free_map import FreeMap, MapConflict
 from coopslam.exploration.moves import (
     DriveAway,
@@ -34,9 +35,10 @@ from coopslam.exploration.recognition import (
 from coopslam.exploration.sweep import Sweep, gate_ahead, next_known, stands_between, ways_to_sweep
 from coopslam.exploration.travel import route_to_gate
 from coopslam.records import CornerDecision, CornerSighting, Decision, TriangleDecision, WallDecision
-from coopslam.se2 import Pose2
+from coopslam.se2 import Pose2, position
 
 NOWHERE_ELSE = np.zeros(2)
+STRAIGHTNESS_RAD = 1e-4  # sigma of the direction of a long wall
 MAX_HALVINGS = 16  # of a way that is aimed anew half way
 
 
@@ -55,6 +57,9 @@ class ExplorerSettings:
     search_places: int = 25  # at most so many places are searched for a corner
     chart: ChartSettings = field(default_factory=ChartSettings)
     recognition: RecognitionSettings = field(default_factory=RecognitionSettings)
+
+    def __post_init__(self):
+        require_positive(sure_reach_m=self.sure_reach_m, search_places=self.search_places)
 
 
 Actions = Generator[Move | Decided, Step | None, str]
@@ -95,7 +100,7 @@ class Explorer:
         self.at[mover] = corner.vertex
         start, end = self.at[watcher], self.at[mover]
         self.free_map.add_first_wall(start, end)
-        yield Decided((corner, WallDecision(step.stamp_s, start, end)))
+        yield Decided((corner, self._wall(step.corner, start, end, seen_from=start)))
 
     # travel
 
@@ -135,9 +140,6 @@ class Explorer:
                 if step.ended != MoveEnd.DISTANCE:
                     break  # else: watched on the way, it aims again
                 step = yield self._go_to_corner(mover, target, None, offset, keep_contact=True)
-            if step.ended == MoveEnd.WALL:  # off the free diagonal: the wall in the way leads on to a corner
-                side = Side.RIGHT if places % 2 == 0 else Side.LEFT
-                step = yield FollowWall(mover, self._partner(mover), side)
             if step.ended in (MoveEnd.CORNER, MoveEnd.PARTNER) and self._may_be(step.corner, target):
                 yield from self._know_again(step.corner, target, "found where it should be")
                 return
@@ -230,7 +232,7 @@ class Explorer:
                         target, search, offset, halvings = watched, None, NOWHERE_ELSE, MAX_HALVINGS
                 case MoveEnd.DISTANCE if target is not None and halvings > 0:
                     halvings -= 1  # on the way to a known vertex: aim again
-                case MoveEnd.NOTHING | MoveEnd.WALL if target is not None:
+                case MoveEnd.NOTHING if target is not None:
                     search = iter(self._places_to_search(sweep.mover, target)) if search is None else search
                     offset = next(search, None)
                     if offset is None:
@@ -249,7 +251,7 @@ class Explorer:
                 yield from self._know_again(step.corner, sweep.pivot, "the partner stands there")
                 yield from self._cross(sweep.mover, sweep.corner)
                 return False
-            matches = self._matches(sweep, step.corner, set(self.free_map.fans) - {sweep.pivot})
+            matches = self._matches(sweep, step.corner, {sweep.pivot})
             if not matches or matches[0].sector is not None:
                 return (yield from self._meet_corner(sweep, step.corner))
             yield from self._know_again(step.corner, matches[0].vertex, "touches the line of contact")
@@ -267,7 +269,8 @@ class Explorer:
         except MapConflict:
             yield Decided((corner,))  # the log tells what led to the conflict
             raise
-        walls = [WallDecision(sighting.stamp_s, *((b, apex) if wall_at_end else (apex, a)))] if walked_wall else []
+        start, end = (b, apex) if wall_at_end else (apex, a)
+        walls = [self._wall(sighting, start, end, seen_from=sweep.corner)] if walked_wall else []
         yield Decided((corner, *walls, TriangleDecision(sighting.stamp_s, triangle, (a, b, apex))))
         return True
 
@@ -275,7 +278,7 @@ class Explorer:
         """The mover walked the wall to its partner: the gate is that wall."""
         start, end = self.free_map.close_as_wall(sweep.gate)
         again = self._seen_again(step.corner, sweep.pivot, "the partner stands there")
-        yield Decided((again, WallDecision(step.stamp_s, start, end)))
+        yield Decided((again, self._wall(step.corner, start, end, seen_from=sweep.corner)))
 
     # which corner is this
 
@@ -285,8 +288,7 @@ class Explorer:
         Raises Stuck when the sighting looks like a known vertex at which the triangle does not fit: taking it for a
         new one would map a part of the world twice.
         """
-        others = set(self.free_map.fans) - set(sweep.gate)
-        matches = self._matches(sweep, sighting, others, wall_at_end, wall_at_start)
+        matches = self._matches(sweep, sighting, sweep.gate, wall_at_end, wall_at_start)
         if not matches:
             return self._new_vertex(sighting), None
         fitting = [match for match in matches if match.sector is not None]
@@ -300,9 +302,9 @@ class Explorer:
         )
         return known, best.sector.index
 
-    def _matches(self, sweep: Sweep, sighting: CornerSighting, vertices, wall_at_end=False, wall_at_start=False):
+    def _matches(self, sweep: Sweep, sighting: CornerSighting, leave_out, wall_at_end=False, wall_at_start=False):
         limits = self.settings.recognition
-        return known_corners(self.chart, limits, sighting, sweep.gate, vertices, wall_at_end, wall_at_start)
+        return known_corners(self.chart, limits, sighting, sweep.gate, leave_out, wall_at_end, wall_at_start)
 
     def _new_vertex(self, sighting: CornerSighting) -> CornerDecision:
         """A vertex that the map gets, and the decision that says so."""
@@ -310,6 +312,18 @@ class Explorer:
         self.free_map.add_vertex(vertex, sighting.interior_angle_rad)
         self.chart.corner_angle_sigma = max(self.chart.corner_angle_sigma, sighting.interior_angle_sigma_rad)
         return CornerDecision(sighting.stamp_s, sighting, vertex, True)
+
+    def _wall(self, sighting: CornerSighting, start: int, end: int, seen_from: int) -> WallDecision:
+        """The wall between a known corner and the sighted one at its other end.
+
+        That a corner's direction points at the next corner is a bearing over the wall's length L. Its linearization is
+        off by the square of sigma / L, with sigma what the finder leaves open of the two corners' places: the short
+        walls of a rounded corner say little, and are believed little.
+        """
+        here = position(self.chart.robot(sighting.observer) * sighting.T_observer_corner)
+        length = max(float(np.hypot(*(here - self.chart.position(seen_from)))), SAME_PLACE_M)
+        bent = 2 * np.trace(sighting.cov_observer[:2, :2]) / length**2
+        return WallDecision(sighting.stamp_s, start, end, float(max(STRAIGHTNESS_RAD, bent)))
 
     def _know_again(self, sighting: CornerSighting, vertex: int, evidence: str):
         yield Decided((self._seen_again(sighting, vertex, evidence),))

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import inf
 from typing import Protocol
 
 from coopslam.errors import BadInput, BadMove, UnderDetermined
-from coopslam.estimation.estimate import Estimate
+from coopslam.estimation.estimate import Estimate, Estimator
 from coopslam.exploration.account import Stuck
 from coopslam.exploration.explorer import Decided, Explorer
 from coopslam.exploration.free_map import MapConflict
@@ -21,12 +22,6 @@ class Acting(Protocol):
     def execute(self, move: Move) -> Step: ...
 
 
-class Estimating(Protocol):
-    """An estimator that can drive."""
-
-    def update(self, records) -> Estimate: ...
-
-
 @dataclass(frozen=True, slots=True)
 class Budget:
     """When to stop although gates are open."""
@@ -35,8 +30,11 @@ class Budget:
     travel_m: float = 1e7
 
     def __post_init__(self):
-        if not (self.moves > 0 and self.travel_m > 0):
-            raise BadInput(f"a budget of {self.moves} moves and {self.travel_m:g} m: more than zero of each expected")
+        if not (self.moves > 0 and 0 < self.travel_m < inf):
+            raise BadInput(
+                f"a budget of {self.moves} moves and {self.travel_m:g} m: more than zero of each expected, "
+                "and metres that are finite"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +66,7 @@ class Mission:
 
 def run_mission(
     team: Acting,
-    estimator: Estimating,
+    estimator: Estimator,
     explorer: Explorer,
     log: Callable[[Record], None],
     budget: Budget | None = None,
@@ -86,10 +84,9 @@ def run_mission(
         explorer.look_at(mission.estimate)
 
     step = team.begin()
-    use(step.records)
-    actions = explorer.actions(step)
-    reply = None
     try:
+        use(step.records)
+        actions, reply = explorer.actions(step), None
         while True:
             action = actions.send(reply)
             if isinstance(action, Decided):

@@ -1,10 +1,11 @@
 """Is this corner one that the map already has? Joint Mahalanobis distance, and the corner's own shape."""
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 
+from coopslam.errors import require_positive
 from coopslam.estimation.estimate import Estimate
 from coopslam.exploration.chart import Chart, outside
 from coopslam.exploration.free_map import Sector
@@ -20,6 +21,14 @@ class RecognitionSettings:
     angle_sigmas: float = 5.0
     search_radius_m: float = 1.0
     search_sigmas: float = 10.0
+
+    def __post_init__(self):
+        require_positive(
+            distance_sq_max=self.distance_sq_max,
+            angle_sigmas=self.angle_sigmas,
+            search_radius_m=self.search_radius_m,
+            search_sigmas=self.search_sigmas,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,17 +66,17 @@ def known_corners(
     limits: RecognitionSettings,
     sighting: CornerSighting,
     gate: tuple[int, int],
-    vertices: Iterable[int],
+    leave_out: Collection[int] = (),
     wall_at_end: bool = False,
     wall_at_start: bool = False,
 ) -> list[Match]:
-    """Which of some vertices a sighting may show, nearest in Mahalanobis distance first."""
+    """Which known vertices, but for some, a sighting may show; nearest in Mahalanobis distance first."""
     belief = chart.estimate.belief(sighting.observer)
     here = position(belief.T_world_body * sighting.T_observer_corner)
     reach = max(limits.search_radius_m, limits.search_sigmas * belief.position_sigma_m)
     matches = []
-    for vertex in sorted(vertices):
-        if np.hypot(*(chart.position(vertex) - here)) > reach:
+    for vertex in chart.near(here, reach):
+        if vertex in leave_out:
             continue
         if not interior_angle_agrees(sighting, chart.free_map.interior_angles[vertex], limits.angle_sigmas):
             continue

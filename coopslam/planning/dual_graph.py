@@ -20,9 +20,9 @@ NORMAL = np.array([[0.0, -1.0], [1.0, 0.0]])  # turns a vector by +90 degrees
 def dual_graph(free_map: FreeMap, estimate: Estimate, odometry: RecordedOdometry) -> nx.Graph:
     """The annotated dual graph of a map; attributes are plain numbers and lists, ready for JSON.
 
-    Node: vertices, centroid [x, y], area_m2, vertex_covariance (6x6, x and y of the three vertices in turn),
-    position_covariance (2x2, of the centroid), position_sigma_m. Edge: gate [a, b], width_m, width_sigma_m, length_m
-    (between centroids), relative_sigma_m (of one centroid seen from the other, in the axes of the gate),
+    Node: vertices, centroid [x, y], area_m2 (not negative), vertex_covariance (6x6, x and y of the three vertices in
+    turn), position_covariance (2x2, of the centroid), position_sigma_m. Edge: gate [a, b], width_m, width_sigma_m,
+    length_m (between centroids), relative_sigma_m (of one centroid seen from the other, in the axes of the gate),
     odometry_sigma_per_m (odometry error recorded in both triangles, m per sqrt(m)).
     """
     graph = nx.Graph()
@@ -42,15 +42,21 @@ def _node(vertices: tuple[int, int, int], places: Mapping[int, np.ndarray], esti
     cov = position_covariance(estimate, vertices)
     third = np.hstack([np.eye(2) / 3] * 3)
     cov_centroid = third @ cov @ third.T
-    (ux, uy), (vx, vy) = corners[1] - corners[0], corners[2] - corners[0]
     return {
         "vertices": list(vertices),
         "centroid": corners.mean(axis=0).tolist(),
-        "area_m2": float(ux * vy - uy * vx) / 2,
+        "area_m2": abs(signed_area_m2(corners)),
         "vertex_covariance": cov.tolist(),
         "position_covariance": cov_centroid.tolist(),
         "position_sigma_m": largest_sigma(cov_centroid),
     }
+
+
+def signed_area_m2(corners) -> float:
+    """Of a triangle, (3, 2); negative when its corners run clockwise: a sliver that noise turned inside out."""
+    a, b, c = np.asarray(corners, float)
+    (ux, uy), (vx, vy) = b - a, c - a
+    return float(ux * vy - uy * vx) / 2
 
 
 def _edge(one, other, gate: tuple[int, int], places: Mapping[int, np.ndarray], estimate: Estimate) -> dict:

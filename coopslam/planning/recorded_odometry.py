@@ -19,6 +19,7 @@ from coopslam.exploration.free_map import FreeMap
 from coopslam.se2 import Pose2, adjoint, position, xytheta
 
 POOLED_LEGS = 4  # how many legs' worth the average over the whole map counts in each part of it
+LEAST_OF_MEAN = 0.25  # of the map's mean sigma
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,13 +42,16 @@ class SlipByTriangle:
         self._share = POOLED_LEGS * metres / len(legs) if legs else 0.0
 
     def pooled(self, triangles: Sequence[int]) -> float:
-        """Odometry error in some triangles, m per sqrt(m)."""
+        """Odometry error in some triangles, m per sqrt(m); at least a quarter of the map's mean.
+
+        v^2 - Q of a few legs can add up to less than zero, and no ground is without slip.
+        """
         legs = [leg for triangle in triangles for leg in self._legs_of.get(triangle, ())]
         metres = sum(leg.weight * leg.distance_m for leg in legs) + self._share
         if metres <= 0:
             return float(np.sqrt(self._mean))
         excess = sum(leg.weight * leg.excess_m2 for leg in legs) + self._share * self._mean
-        return float(np.sqrt(max(excess / metres, 0.0)))
+        return float(np.sqrt(max(excess / metres, LEAST_OF_MEAN**2 * self._mean)))
 
 
 class RecordedOdometry:

@@ -186,7 +186,7 @@ def draw_dual_graph(view: RunView) -> Figure:
     canvas.draw_triangles(axes, view, canvas.MAPPED, canvas.DIAGONAL, sizes.thin)
     canvas.draw_edges(axes, view, view.walls, colors=INK, linewidths=1.2 * sizes.wall, zorder=3)
     canvas.draw_edges(
-        axes, view, view.gates, colors=VERMILLION, linewidths=1.2 * sizes.wall, linestyles=[(0, (3, 1.5))], zorder=4
+        axes, view, view.gates, colors=BLUE, linewidths=1.2 * sizes.wall, linestyles=[(0, (3, 1.5))], zorder=4
     )
     graph = view.dual_graph
     nodes = list(graph.nodes)
@@ -206,7 +206,7 @@ def draw_dual_graph(view: RunView) -> Figure:
         Line2D([], [], color=VERMILLION, lw=1.6 * sizes.wall, alpha=0.75, label="edge; thicker: wider gate"),
     ]
     if view.gates:
-        handles.append(Line2D([], [], color=VERMILLION, lw=sizes.wall, ls=(0, (3, 1.5)), label="gate still open"))
+        handles.append(Line2D([], [], color=BLUE, lw=sizes.wall, ls=(0, (3, 1.5)), label="gate still open"))
     if nodes:
         _draw_nodes(figure, axes, view, np.array(list(centroid.values())), sizes)
     canvas.legend_below(figure, handles)

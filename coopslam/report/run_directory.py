@@ -1,7 +1,6 @@
 """The run directory: what other people's scripts read, written file by file."""
 
 import json
-import shutil
 from pathlib import Path
 
 import gtsam
@@ -14,6 +13,7 @@ from coopslam.exploration.free_map import FreeMap
 from coopslam.io.g2o import BearingEdge, PoseEdge, write_g2o, write_keys
 from coopslam.io.geojson import feature, write_feature_collection
 from coopslam.io.tum import write_tum
+from coopslam.planning.dual_graph import signed_area_m2
 from coopslam.se2 import position
 
 FILES = (
@@ -27,23 +27,47 @@ FILES = (
     "report.html",
 )
 FOLDERS = ("trajectories", "figures", "truth")
+SUFFIXES = (".png", ".gif", ".mp4", ".tum", ".json", ".geojson")  # of what a run writes into its folders
 
 
 def prepare_run_directory(path: Path, force: bool) -> None:
-    """Make the directory, without an older run in it. Raises BadInput when it holds one and `force` is not given."""
-    if path.exists() and not path.is_dir():
-        raise BadInput(f"--out {path}: is a file; a directory expected")
-    held = [name for name in (*FILES, *FOLDERS) if (path / name).exists()]
-    if held and not force:
-        raise BadInput(f"--out {path}: already holds a run ({held[0]}); give another directory or --force")
+    """Make the directory, without an older run in it. Raises BadInput when it holds one and `force` is not given.
+
+    Only what a run writes is ever deleted; folders are left alone unless config.toml and log.mcap show that they
+    belong to a run.
+    """
     try:
-        path.mkdir(parents=True, exist_ok=True)
+        if path.exists() and not path.is_dir():
+            raise BadInput(f"--out {path}: is a file; a directory expected")
+        held = [name for name in (*FILES, *FOLDERS) if (path / name).exists()]
+        if held and not force:
+            raise BadInput(f"--out {path}: already holds a run ({held[0]}); give another directory or --force")
         for name in held:
-            shutil.rmtree(path / name) if name in FOLDERS else (path / name).unlink()
+            if (path / name).is_dir() != (name in FOLDERS):
+                raise BadInput(f"--out {path}: {name} in it is not what a run writes; give another directory")
+        path.mkdir(parents=True, exist_ok=True)
         (path / ".writable").touch()
         (path / ".writable").unlink()
-    except OSError as error:
-        raise BadInput(f"--out {path}: cannot be written: {error.strerror}") from error
+        if {"config.toml", "log.mcap"} <= set(held):
+            for name in FOLDERS:
+                _clear(path / name)
+        for name in held:
+            if name in FILES:
+                (path / name).unlink()
+    except (OSError, ValueError) as error:  # ValueError: a path that no system can have
+        reason = getattr(error, "strerror", None) or error
+        raise BadInput(f"--out {str(path)[:200]}: cannot be written: {reason}") from error
+
+
+def _clear(folder: Path) -> None:
+    """Delete the files of a run from one of its folders, and the folder when nothing else is in it."""
+    if not folder.is_dir() or folder.is_symlink():
+        return
+    for file in folder.iterdir():
+        if file.suffix in SUFFIXES and (file.is_file() or file.is_symlink()):
+            file.unlink()
+    if not any(folder.iterdir()):
+        folder.rmdir()
 
 
 def fresh_directory(path: Path) -> Path:
@@ -55,17 +79,22 @@ def fresh_directory(path: Path) -> Path:
     return taken
 
 
-def write_trajectories(directory: Path, estimate: Estimate, causal: Estimate) -> None:
-    """trajectories/ROBOT.tum, smoothed, and ROBOT.causal.tum, as known at each moment."""
+def write_trajectory(directory: Path, robot: str, estimate: Estimate, causal: Estimate) -> None:
+    """trajectories/ROBOT.tum, smoothed, and ROBOT.causal.tum, as known at each moment; the same instants in both."""
+    known = causal.causal_trajectory(robot)
+    moments, stamps = set(known.stamps_s.tolist()), estimate.timeline.stamps
+    keys = [key for key in estimate.timeline.tracks[robot].keys if stamps[key] in moments]
     directory.mkdir(exist_ok=True)
-    for robot in estimate.robots:
-        smoothed, known = estimate.trajectory(robot), causal.causal_trajectory(robot)
-        write_tum(directory / f"{robot}.tum", smoothed.stamps_s, smoothed.poses)
-        write_tum(directory / f"{robot}.causal.tum", known.stamps_s, known.poses)
+    write_tum(directory / f"{robot}.tum", known.stamps_s, [estimate.value(key) for key in keys])
+    write_tum(directory / f"{robot}.causal.tum", known.stamps_s, known.poses)
 
 
 def write_map(path: Path, free_map: FreeMap, estimate: Estimate) -> None:
-    """map.geojson: vertices with covariances, triangles, walls, open gates; metres, frame of the estimate."""
+    """map.geojson: vertices with covariances, triangles, walls, open gates; metres, frame of the estimate.
+
+    A triangle's vertices are counter-clockwise as decided; noise can turn a sliver inside out in the estimate. Only
+    such a triangle has the property `inverted` (true).
+    """
     places = {vertex: position(estimate.vertex(vertex)).tolist() for vertex in free_map.fans}
     features = []
     for vertex, place in places.items():
@@ -81,7 +110,8 @@ def write_map(path: Path, free_map: FreeMap, estimate: Estimate) -> None:
         )
     for triangle, vertices in free_map.triangles.items():
         ring = [places[vertex] for vertex in vertices]
-        features.append(feature("triangle", "Polygon", [ring], id=triangle, vertices=list(vertices)))
+        inverted = {"inverted": True} if signed_area_m2(ring) < 0 else {}
+        features.append(feature("triangle", "Polygon", [ring], id=triangle, vertices=list(vertices), **inverted))
     for kind, lines in (("wall", free_map.walls()), ("gate", sorted(free_map.gates))):
         for a, b in lines:
             features.append(feature(kind, "LineString", [places[a], places[b]], vertices=[a, b]))
@@ -94,9 +124,9 @@ def write_dual_graph(path: Path, graph: nx.Graph) -> None:
 
 
 def write_pose_graph(directory: Path, graph: gtsam.NonlinearFactorGraph, estimate: Estimate) -> None:
-    """pose_graph.g2o and pose_graph.keys.json. Ids count from 0: all robots' poses by robot, then map vertices."""
+    """pose_graph.g2o and pose_graph.keys.json. Ids count from 0: placed robots' poses by robot, then map vertices."""
     names = {}
-    for robot in estimate.robots:
+    for robot in filter(estimate.timeline.is_placed, estimate.robots):
         for index, key in enumerate(estimate.timeline.tracks[robot].keys):
             stamp = estimate.timeline.stamps[key]
             names[key] = {"kind": "pose", "robot": robot, "index": index, "stamp_s": stamp}

@@ -16,7 +16,7 @@ import numpy as np
 
 sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
 
-from _exploration import ExplorationSettings, explore
+from _exploration import ExplorationSettings, explore, prepare
 from seeds_with_noise import is_success
 
 from sim.world import load_world, world_names
@@ -58,7 +58,7 @@ def main() -> int:
 
 def _one(world: str) -> dict:
     with tempfile.TemporaryDirectory() as out:
-        return explore(ExplorationSettings(world=world, noise="none", figures="none"), Path(out)).summary
+        return explore(prepare(ExplorationSettings(world=world, noise="none", figures="none")), Path(out)).summary
 
 
 def _profile(world: str) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
 
-from _exploration import ExplorationSettings, explore
+from _exploration import ExplorationSettings, explore, prepare
 
 from coopslam.evaluation.consistency import chi_square_band
 
@@ -37,7 +37,7 @@ def main() -> int:
 def _one(job: tuple[str, int, str]) -> dict:
     world, seed, noise = job
     with tempfile.TemporaryDirectory() as out:
-        return explore(ExplorationSettings(world=world, seed=seed, noise=noise), Path(out)).summary
+        return explore(prepare(ExplorationSettings(world=world, seed=seed, noise=noise)), Path(out)).summary
 
 
 def _report(world: str, summaries: list[dict]) -> None:
