@@ -51,7 +51,7 @@ from sim.team import Team, TeamSettings, Truth
 from sim.world import World, load_world, world_names
 
 DRIVERS = {"incremental": Incremental, "batch": Batch}
-WORST_CHI_SQUARE = 5.0  # per degree of freedom; 1 expected. Beyond, the estimate contradicts the records
+WORST_CHI_SQUARE = 25.0  # per degree of freedom; 1 expected. Beyond, the estimate contradicts the records
 ENOUGH_DOF = 50  # for that to be no chance
 T = TypeVar("T")
 
