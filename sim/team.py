@@ -30,7 +30,7 @@ class TeamSettings:
     start_step_m: float = 0.3  # of each further robot along the wall; at most half the wall for all of them
     speed_m_per_s: float = 0.5
     turn_rate_rad_per_s: float = 1.0
-    odometry_period_s: float = 0.5
+    odometry_period_s: float = 1.0
     sighting_period_s: float = 2.0
     sightings_per_leg: int = 8  # at most; long legs are watched less often
     finder_reach_m: float = 0.5

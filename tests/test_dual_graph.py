@@ -158,7 +158,7 @@ def test_slippery_ground_shows_in_the_edges():
     def typical_edge(sigma):
         true = replace(TYPICAL, odometry=replace(TYPICAL.odometry, translation_sigma_m=sigma))
         found = []
-        for seed in range(4):
+        for seed in range(16):
             done = run("paper_two_occluders", seed=seed, true=true, believed=TYPICAL)
             smoothed = done.smoothed()
             graph = dual_graph(done.free_map, smoothed, RecordedOdometry(done.driver.graph, smoothed))
