@@ -6,12 +6,12 @@ A run that ends badly is written like any other; what could not be computed is n
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from math import isfinite
 from pathlib import Path
 from typing import Literal, TypeVar
 
 import networkx as nx
 import numpy as np
+from _exploration_output import summarize, view_of, write_run
 
 from coopslam import __version__
 from coopslam.errors import BadInput, CoopSlamError, UnderDetermined
@@ -21,30 +21,19 @@ from coopslam.estimation.estimate import Estimate, Trajectory
 from coopslam.estimation.incremental import Incremental, IncrementalSettings
 from coopslam.evaluation.exploration_score import (
     ExplorationTruth,
-    bound_on_ate,
-    causal_ate_rmse_m,
-    score_trajectories,
-    score_triangulation,
-    score_vertices,
 )
 from coopslam.exploration.explorer import Explorer, ExplorerSettings
 from coopslam.exploration.mission import Budget, Mission, Progress, run_mission
 from coopslam.io.run_log import RunLogWriter
 from coopslam.io.toml import dump_toml, to_mapping
-from coopslam.io.tum import write_tum
-from coopslam.planning.dual_graph import dual_graph, signed_area_m2
+from coopslam.planning.dual_graph import dual_graph
 from coopslam.planning.recorded_odometry import RecordedOdometry
 from coopslam.records import CornerDecision, LogHeader, MoveNote, Record
 from coopslam.report import figures, html
 from coopslam.report.run_directory import (
-    write_dual_graph,
     write_json,
-    write_map,
-    write_pose_graph,
-    write_trajectory,
 )
-from coopslam.report.run_view import RunView, UncertaintyPoint
-from coopslam.se2 import Pose2, position
+from coopslam.se2 import Pose2
 from sim.noise import PRESETS, Noise
 from sim.sensors import Sensors
 from sim.team import Team, TeamSettings, Truth
@@ -171,8 +160,8 @@ def explore(ready: Prepared, out: Path, watch: Callable[[Progress], None] | None
     run = Exploration(settings, world, mission, ready.driver, _truth(ready.team.truth, world, records))
     _smooth(run, records)
     run.dual_graph = run.left_out.attempt("dual_graph.json", _dual_graph, run)
-    run.summary = _summary(run)
-    _write(run, out)
+    run.summary = summarize(run)
+    write_run(run, out)
     run.summary["total_seconds"] = time.perf_counter() - began
     _write_summary(run, out)
     return run
@@ -181,7 +170,7 @@ def explore(ready: Prepared, out: Path, watch: Callable[[Progress], None] | None
 def draw(run: Exploration, out: Path) -> None:
     """figures/ and report.html of a run, which both go into its directory."""
     known = len(run.left_out)
-    view = _view(run)
+    view = view_of(run)
     drawn = [] if run.settings.figures == "none" else figures.draw_all(view, out / "figures")
     html.write_report(out / "report.html", view, drawn)
     if len(run.left_out) > known:
@@ -244,138 +233,3 @@ def _truth(truth: Truth, world: World, records: list[Record]) -> ExplorationTrut
     ]
     tracks = {robot: Trajectory(np.array(track.stamps_s), track.poses) for robot, track in truth.tracks.items()}
     return ExplorationTruth(corners, world.polygon, world.triangles_expected, tracks, corner_of, misnamed)
-
-
-def _summary(run: Exploration) -> dict:
-    """The figures of CONTRACT; everything but keys that end in _seconds is the same for the same settings."""
-    mission, free_map, attempt = run.mission, run.mission.explorer.free_map, run.left_out.attempt
-    summary = {
-        "world": run.world.name,
-        "seed": run.settings.seed,
-        "noise": run.settings.noise_name,
-        "estimator": run.settings.estimator,
-        "outcome": mission.outcome,
-        "outcome_reason": mission.reason,
-        "vertices": len(free_map.fans),
-        "holes": free_map.holes,
-        "triangles": len(free_map.triangles),
-        "moves": mission.moves,
-        "role_exchanges": mission.role_exchanges,
-        "travel_m": dict(mission.travel_m),
-        "travel_over_perimeter": sum(mission.travel_m.values()) / run.world.perimeter_m,
-        "mapped_area_m2": attempt("mapped_area_m2", _mapped_area_m2, run),
-        **(attempt("scores of the triangulation", score_triangulation, free_map, run.truth) or {}),
-        **(attempt("scores of the vertices", lambda: score_vertices(free_map, run.final, run.truth)) or {}),
-        "smoothed_moved_m": attempt("smoothed_moved_m", lambda: _largest_move(mission.estimate, run.final)),
-        "estimators": _estimators(run),
-    }
-    return {key: _finite(key, value, run.left_out) for key, value in summary.items() if value is not None}
-
-
-def _estimators(run: Exploration) -> dict[str, dict]:
-    """The scores of each estimator that came to an estimate."""
-    attempt, mission = run.left_out.attempt, run.mission
-    bound = attempt("crlb_ratio", lambda: bound_on_ate(run.driver.graph, run.final, run.truth))
-    causal_of = {"dead-reckoning": run.dead_reckoning, run.settings.estimator: mission.estimate}
-    estimates = dict(causal_of)
-    if run.batch is not None:
-        estimates["batch"] = run.batch
-    estimators = {}
-    for name, estimate in estimates.items():
-        scores = estimate and attempt(f"estimators.{name}", score_trajectories, estimate, run.truth, bound)
-        if scores:
-            known = causal_of.get(name)
-            causal = known and attempt(f"estimators.{name}.causal_ate_rmse_m", causal_ate_rmse_m, known, run.truth)
-            estimators[name] = {**scores, "causal_ate_rmse_m": causal, "wall_seconds": run.seconds[name]}
-    return estimators
-
-
-def _finite(name: str, value, left_out: LeftOut):
-    """The value, with None for each number that JSON cannot say."""
-    if isinstance(value, dict):
-        return {key: _finite(f"{name}.{key}", item, left_out) for key, item in value.items()}
-    if isinstance(value, float) and not isfinite(value):
-        left_out[name] = f"it is {value}"
-        return None
-    return value
-
-
-def _mapped_area_m2(run: Exploration) -> float:
-    """Area of the polygon: inverted slivers count as negative."""
-    triangles = run.mission.explorer.free_map.triangles.values()
-    return sum(signed_area_m2([position(run.final.vertex(v)) for v in triangle]) for triangle in triangles)
-
-
-def _largest_move(causal: Estimate, final: Estimate) -> float:
-    """How far the batch solve moved any map vertex away from where the driving estimator left it, m."""
-    moves = [np.hypot(*(position(causal.vertex(v)) - position(final.vertex(v)))) for v in final.vertices]
-    return float(max(moves, default=0.0))
-
-
-def _write(run: Exploration, out: Path) -> None:
-    """Trajectories, map, dual graph, pose graph and truth."""
-    free_map, driver, attempt = run.mission.explorer.free_map, run.driver, run.left_out.attempt
-    for robot in run.settings.team.robots:
-        attempt(
-            f"trajectories/{robot}.tum",
-            lambda robot=robot: write_trajectory(out / "trajectories", robot, run.final, run.mission.estimate),
-        )
-    attempt("map.geojson", lambda: write_map(out / "map.geojson", free_map, run.final))
-    if run.dual_graph is not None:
-        write_dual_graph(out / "dual_graph.json", run.dual_graph)
-    attempt("pose_graph.g2o", lambda: write_pose_graph(out, driver.graph, run.final))
-    truth = out / "truth"
-    truth.mkdir(exist_ok=True)
-    write_json(truth / "world.geojson", run.world.to_geojson())
-    write_json(truth / "vertices.json", {str(v): list(run.world.ring_index(c)) for v, c in run.truth.corner_of.items()})
-    for robot, track in run.truth.tracks.items():
-        write_tum(truth / f"{robot}.tum", track.stamps_s, track.poses)
-
-
-def _view(run: Exploration) -> RunView:
-    """What the figures show, in the frame of the estimate."""
-    free_map, mission = run.mission.explorer.free_map, run.mission
-    origin = next(iter(run.truth.tracks.values())).poses[0]
-
-    def path(trajectory: Trajectory) -> np.ndarray:
-        return np.array([position(pose) for pose in trajectory.poses])
-
-    def at_start(points: np.ndarray) -> np.ndarray:
-        return np.array([origin.transformTo(point) for point in points])
-
-    sources = {
-        "dead-reckoning": lambda robot: run.dead_reckoning and run.dead_reckoning.trajectory(robot),
-        "causal": lambda robot: mission.estimate and mission.estimate.causal_trajectory(robot),
-        "smoothed": lambda robot: run.final.trajectory(robot),
-    }
-    paths = {kind: {} for kind in sources}
-    for kind, trajectory_of in sources.items():
-        for robot in run.settings.team.robots:
-            trajectory = run.left_out.attempt(f"figures: {kind} path of {robot}", trajectory_of, robot)
-            if trajectory is not None:
-                paths[kind][robot] = path(trajectory)
-    paths["true"] = {robot: at_start(path(track)) for robot, track in run.truth.tracks.items()}
-    covariances = run.left_out.attempt("figures: map", _vertex_covariances, run)
-    mapped = covariances is not None
-    return RunView(
-        name=run.world.name,
-        summary=run.summary,
-        vertices={v: position(run.final.vertex(v)) for v in free_map.fans} if mapped else {},
-        covariances=covariances or {},
-        triangles=dict(free_map.triangles) if mapped else {},
-        walls=free_map.walls() if mapped else [],
-        gates=sorted(free_map.gates) if mapped else [],
-        dual_graph=run.dual_graph if mapped and run.dual_graph is not None else nx.Graph(),
-        paths=paths,
-        history=[
-            UncertaintyPoint(p.stamp_s, p.role_exchanges, p.travel_m, p.triangles, p.position_sigma_m)
-            for p in mission.history
-        ],
-        true_rings=[at_start(ring) for ring in run.world.rings],
-        true_vertices={v: at_start([position(run.truth.corners[c])])[0] for v, c in run.truth.corner_of.items()},
-    )
-
-
-def _vertex_covariances(run: Exploration) -> dict[int, np.ndarray]:
-    """(2, 2) each, map axes."""
-    return {v: run.final.vertex_belief(v).position_covariance for v in run.mission.explorer.free_map.fans}
