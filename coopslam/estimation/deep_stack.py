@@ -3,7 +3,7 @@
 import threading
 
 STACK_BYTES = 1 << 30  # address space, not memory: only what is used is ever mapped
-ROOMY_ABOVE = 5_000  # pose variables; an 8 MB stack has been seen to end at some 30 000
+ROOMY_ABOVE = 12_000  # pose variables; an 8 MB stack has been seen to end at some 30 000
 
 
 def call(function, *arguments, variables: int):

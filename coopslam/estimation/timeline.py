@@ -9,7 +9,6 @@ from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from functools import singledispatchmethod
 
 import gtsam
 import numpy as np
@@ -125,13 +124,14 @@ class Timeline:
 
     # ---- one record ----
 
-    @singledispatchmethod
-    def _take(self, record) -> bool:
+    def _take(self, record: Record) -> bool:
         """Turn one record into variables and factors; False when it was dropped."""
-        raise BadRecord(f"a timeline cannot use a {type(record).__name__}")
+        take = _TAKE.get(type(record))
+        if take is None:
+            raise BadRecord(f"a timeline cannot use a {type(record).__name__}")
+        return take(self, record)
 
-    @_take.register
-    def _(self, record: Odometry) -> bool:
+    def _take_odometry(self, record: Odometry) -> bool:
         track = self.tracks.get(record.robot)
         if track is None:
             return self._drop(record, "unknown robot")
@@ -149,8 +149,7 @@ class Timeline:
         track.T_last_now = track.T_last_now * record.T_start_now
         return True
 
-    @_take.register
-    def _(self, record: RelativePoseFix) -> bool:
+    def _take_relative_pose(self, record: RelativePoseFix) -> bool:
         keys = self._pair(record)
         if keys is None:
             return False
@@ -163,12 +162,10 @@ class Timeline:
         self._add(factors.relative_pose(*keys, record), (record.observer, record.target))
         return True
 
-    @_take.register
-    def _(self, record: CornerSighting) -> bool:
+    def _take_sighting(self, record: CornerSighting) -> bool:
         return self._key_at(record.observer, record) is not None
 
-    @_take.register
-    def _(self, record: CornerDecision) -> bool:
+    def _take_corner(self, record: CornerDecision) -> bool:
         sighting = record.sighting
         key = self._key_at(sighting.observer, sighting)
         if key is None:
@@ -179,16 +176,12 @@ class Timeline:
         self._add(factors.corner(key, vertex_key(record.vertex), sighting), (sighting.observer, record.vertex))
         return True
 
-    @_take.register
-    def _(self, record: WallDecision) -> bool:
+    def _take_wall(self, record: WallDecision) -> bool:
         factor = factors.wall(vertex_key(record.start), vertex_key(record.end), record)
         self._add(factor, (record.start, record.end))
         return True
 
-    @_take.register(BearingRangeFix)
-    @_take.register(RangeFix)
-    @_take.register(BearingFix)
-    def _(self, record) -> bool:
+    def _take_fix(self, record: BearingRangeFix | RangeFix | BearingFix) -> bool:
         if getattr(record, "range_m", 1.0) == 0.0:
             return self._drop(record, "range zero")
         keys = self._pair(record)
@@ -198,9 +191,7 @@ class Timeline:
         self._add(make[type(record)](*keys, record), (record.observer, record.target))
         return True
 
-    @_take.register(TriangleDecision)
-    @_take.register(MoveNote)
-    def _(self, record) -> bool:
+    def _take_nothing(self, record: TriangleDecision | MoveNote) -> bool:
         return True  # nothing to estimate
 
     # ---- pose variables ----
@@ -325,3 +316,17 @@ class Timeline:
     def _drop(self, record, reason: str) -> bool:
         self.dropped[f"{type(record).__name__}: {reason}"] += 1
         return False
+
+
+_TAKE = {
+    Odometry: Timeline._take_odometry,
+    RelativePoseFix: Timeline._take_relative_pose,
+    CornerSighting: Timeline._take_sighting,
+    CornerDecision: Timeline._take_corner,
+    WallDecision: Timeline._take_wall,
+    BearingRangeFix: Timeline._take_fix,
+    RangeFix: Timeline._take_fix,
+    BearingFix: Timeline._take_fix,
+    TriangleDecision: Timeline._take_nothing,
+    MoveNote: Timeline._take_nothing,
+}
