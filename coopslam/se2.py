@@ -123,5 +123,5 @@ def is_covariance(matrix: np.ndarray, size: int) -> bool:
     try:
         np.linalg.cholesky(matrix + 1e-9 * scale * np.eye(size))
     except np.linalg.LinAlgError:
-        return scale == 0.0
+        return bool(scale == 0.0)
     return True

@@ -386,6 +386,6 @@ def _bearing_crossing(watcher: Body, start, end, bearing_rad: float) -> float | 
     if abs(turning) < 1e-15:
         return None
     fraction = -cross(line, ray) / turning
-    if not 0.0 <= fraction <= 1.0 or (line + fraction * drive) @ ray <= 0:
-        return None
+    if not 0.0 <= fraction <= 1.0 - 1e-9 or (line + fraction * drive) @ ray <= 0:
+        return None  # a bearing met just at the end of the drive: the corner there comes first
     return float(fraction)
