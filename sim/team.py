@@ -295,7 +295,7 @@ class Team:
         return Step(self.time_s, tuple(records), ended, travelled)
 
     def _sample_turn(self, robot: str, turn: float) -> list:
-        if abs(turn) < 1e-12:
+        if abs(turn) < 1e-9:  # rounding, not a turn: no sample, so that rounding draws no noise
             return []
         share = self._shares(abs(turn) / self.settings.turn_rate_rad_per_s)
         records = self._odometry(
