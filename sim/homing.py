@@ -110,4 +110,4 @@ def _along_wall(sight: Sight, here: Waypoint, left: np.ndarray) -> Waypoint | No
     progress, length, end, wall, direction = max(nearer, key=lambda option: option[0])
     if progress < length:
         return Waypoint(here.position + progress * direction, wall=wall)
-    return Waypoint(sight.points[end], corner=end)
+    return Waypoint(sight.points[end], corner=end, wall=wall)

@@ -10,6 +10,7 @@ from math import radians
 import numpy as np
 
 from coopslam.errors import BadInput
+from coopslam.se2 import Pose2
 
 MOST = 1e3  # m or rad, of any sigma
 
@@ -74,9 +75,10 @@ class FinderNoise(_Sigmas):
     direction_sigma_rad: float = radians(0.5)
     interior_angle_sigma_rad: float = radians(0.7)
 
-    def covariance(self) -> np.ndarray:
-        """(3, 3) covariance of the corner's x, y and direction, axes of the observer."""
-        return np.diag([self.position_sigma_m**2, self.position_sigma_m**2, self.direction_sigma_rad**2])
+    def line_covariance(self, distance_m: float) -> np.ndarray:
+        """(3, 3) covariance of (along, across, direction), axes of the line of sight to the corner."""
+        across = self.position_sigma_m**2 + (self.direction_sigma_rad * distance_m) ** 2
+        return np.diag([self.position_sigma_m**2, across, self.direction_sigma_rad**2])
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +88,50 @@ class Noise:
     odometry: OdometryNoise = field(default_factory=OdometryNoise)
     tracker: TrackerNoise = field(default_factory=TrackerNoise)
     finder: FinderNoise = field(default_factory=FinderNoise)
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryBias:
+    """What odometry gets wrong in the same way every time. The robots do not know of it."""
+
+    scale: float = 0.0  # measured metres are (1 + scale) times the true ones
+    turn_scale: float = 0.0  # measured angles of turns on the spot are (1 + turn_scale) times the true ones
+    drift_rad_per_m: float = 0.0  # so far the measured heading drifts to the left in each true metre
+
+    def __post_init__(self):
+        for name, most in (("scale", 0.5), ("turn_scale", 0.5), ("drift_rad_per_m", 1.0)):
+            value = getattr(self, name)
+            if not abs(value) <= most:
+                raise BadInput(f"{name}: between -{most:g} and {most:g} expected, got {value}")
+
+    def measured(self, turn_rad: float, distance_m: float) -> Pose2:
+        """What odometry without noise says of a step: the start's frame of where it believes to be then.
+
+        With drift a straight drive is measured as an arc of a circle, so steps compose to the same at any rate.
+        """
+        length = (1 + self.scale) * distance_m
+        bend = self.drift_rad_per_m * distance_m
+        chord = length * np.sinc(bend / (2 * np.pi))  # numpy's sinc: sin(bend / 2) / (bend / 2)
+        return Pose2(chord * np.cos(bend / 2), chord * np.sin(bend / 2), bend + (1 + self.turn_scale) * turn_rad)
+
+
+@dataclass(frozen=True, slots=True)
+class FalseSightings:
+    """Shares of the robot tracker's sightings that are none; it cannot tell."""
+
+    outliers: float = 0.0  # reflections: the target is reported where its mirror image is
+    dropouts: float = 0.0  # nothing is reported
+
+    def __post_init__(self):
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if not 0 <= value <= 0.5:
+                raise BadInput(f"{entry.name}: between 0 and 0.5 expected, got {value}")
+
+    @property
+    def share(self) -> float:
+        """Of all sightings, those that do not show the target where it is."""
+        return self.outliers + self.dropouts
 
 
 TYPICAL = Noise()

@@ -1,12 +1,16 @@
 """What robots measure: truth plus true noise, with the covariance that the robots believe in."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from coopslam.records import CornerSighting, Odometry, RelativePoseFix
-from coopslam.se2 import Pose2, planar_rotation
-from sim.noise import Noise
+from coopslam.se2 import Pose2, planar_rotation, xytheta
+from sim.noise import FalseSightings, FinderNoise, Noise, OdometryBias, TrackerNoise
+
+DETOUR_M = 0.3  # by so much at least the way over a mirror is longer than the straight one
+LONGEST_DETOUR = 3.0  # times the straight way
+IN_PLACE_M = 1e-6  # nearer than this the line of sight has no direction but that of rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,42 +20,58 @@ class Sensors:
     true: Noise
     believed: Noise
     rng: np.random.Generator
+    bias: OdometryBias = field(default_factory=OdometryBias)
+    false_sightings: FalseSightings = field(default_factory=FalseSightings)
 
     def odometry(
-        self, robot: str, times_s: np.ndarray, turns_rad: np.ndarray, distances_m: np.ndarray
+        self,
+        robot: str,
+        times_s: np.ndarray,
+        turns_rad: np.ndarray,
+        distances_m: np.ndarray,
+        noise_factors: np.ndarray | None = None,
     ) -> list[Odometry]:
-        """One record per step; each step turns on the spot, or drives straight. times_s is (N+1,), the others (N,)."""
+        """One record per step; each step turns on the spot, or drives straight. times_s is (N+1,), the others (N,).
+
+        noise_factors: of the ground under each step, on the true sigmas; 1 when None. The belief knows none of them: it
+        is the covariance of the motion that was commanded. (That of the measured one would call a step sure whenever
+        it happens to be measured too short.)
+        """
+        factors = np.ones(len(turns_rad)) if noise_factors is None else noise_factors
+        steps = zip(turns_rad.tolist(), distances_m.tolist(), factors.tolist(), strict=True)
         records = []
-        for k, (turn, distance) in enumerate(zip(turns_rad.tolist(), distances_m.tolist(), strict=True)):
-            error = self._draw(self.true.odometry.covariance(turn, distance))
-            measured = Pose2(distance, 0.0, turn) * Pose2(*error)
-            belief = self.believed.odometry.covariance(measured.theta(), measured.x())
+        for k, (turn, distance, factor) in enumerate(steps):
+            error = self._draw(factor**2 * self.true.odometry.covariance(turn, distance))
+            measured = self.bias.measured(turn, distance) * Pose2(*error)
+            belief = self.believed.odometry.covariance(turn, distance)
             records.append(Odometry(float(times_s[k]), float(times_s[k + 1]), robot, measured, belief))
         return records
 
-    def relative_pose(self, stamp_s: float, observer: str, target: str, T_observer_target: Pose2) -> RelativePoseFix:
-        """What the tracker of `observer` says of `target`."""
-        true_range = T_observer_target.range(np.zeros(2))
-        line = np.arctan2(T_observer_target.y(), T_observer_target.x()) if true_range > 0 else 0.0
-        along, across, heading = self._draw(self.true.tracker.line_covariance(true_range))
-        c, s = np.cos(line), np.sin(line)
-        x = T_observer_target.x() + c * along - s * across
-        y = T_observer_target.y() + s * along + c * across
-        turn = planar_rotation(np.arctan2(y, x))
-        cov = turn @ self.believed.tracker.line_covariance(np.hypot(x, y)) @ turn.T
-        return RelativePoseFix(stamp_s, observer, target, Pose2(x, y, T_observer_target.theta() + heading), cov)
+    def relative_pose(
+        self, stamp_s: float, observer: str, target: str, T_observer_target: Pose2
+    ) -> RelativePoseFix | None:
+        """What the tracker of `observer` says of `target`; None when it drops out. It may be a reflection."""
+        shown, false = T_observer_target, self.false_sightings
+        if false.share > 0:
+            chance = self.rng.random()
+            if chance < false.dropouts:
+                return None
+            if chance < false.share:
+                shown = self._reflection(T_observer_target)
+        measured, cov = self._sighted(shown, self.true.tracker, self.believed.tracker)
+        return RelativePoseFix(stamp_s, observer, target, measured, cov)
 
     def corner(
         self, stamp_s: float, observer: str, T_observer_corner: Pose2, interior_angle_rad: float
     ) -> CornerSighting:
-        """What the finder of `observer` says of the corner in which it stands."""
-        x, y, theta = self._draw(self.true.finder.covariance())
+        """What the finder of `observer` says of a corner within its reach; usually it stands in that corner."""
+        measured, cov = self._sighted(T_observer_corner, self.true.finder, self.believed.finder)
         angle = interior_angle_rad + self.rng.standard_normal() * self.true.finder.interior_angle_sigma_rad
         return CornerSighting(
             stamp_s,
             observer,
-            Pose2(T_observer_corner.x() + x, T_observer_corner.y() + y, T_observer_corner.theta() + theta),
-            self.believed.finder.covariance(),
+            measured,
+            cov,
             float(np.clip(angle, 1e-6, 2 * np.pi - 1e-6)),
             self.believed.finder.interior_angle_sigma_rad,
         )
@@ -59,6 +79,31 @@ class Sensors:
     def bearing_error(self) -> float:
         """Of a bearing that the tracker watches for, rad."""
         return float(self.rng.standard_normal()) * self.true.tracker.bearing_sigma_rad
+
+    def contact_seems_lost(self, confirmations: int) -> bool:
+        """Whether so many consecutive sightings of a robot in plain view were all false."""
+        share = self.false_sightings.share
+        return share > 0 and bool(self.rng.random() < share**confirmations)
+
+    def _sighted(
+        self, T_observer_target: Pose2, true: TrackerNoise | FinderNoise, believed: TrackerNoise | FinderNoise
+    ) -> tuple[Pose2, np.ndarray]:
+        """A pose measured along a line of sight, and its believed (3, 3) covariance in the axes of the observer."""
+        x, y, theta = xytheta(T_observer_target)
+        distance = np.hypot(x, y)
+        along, across, heading = self._draw(true.line_covariance(distance))
+        c, s = (x / distance, y / distance) if distance > IN_PLACE_M else (1.0, 0.0)
+        x, y = x + c * along - s * across, y + s * along + c * across
+        turn = planar_rotation(np.arctan2(y, x))
+        cov = turn @ believed.line_covariance(np.hypot(x, y)) @ turn.T
+        return Pose2(x, y, theta + heading), cov
+
+    def _reflection(self, T_observer_target: Pose2) -> Pose2:
+        """A mirror image: anywhere, but farther away than the target itself."""
+        straight_m = T_observer_target.range(np.zeros(2))
+        range_m = max(straight_m * self.rng.uniform(1.0, LONGEST_DETOUR), straight_m + DETOUR_M)
+        bearing, heading = -self.rng.uniform(-np.pi, np.pi, 2)  # in (-pi, pi]
+        return Pose2(range_m * np.cos(bearing), range_m * np.sin(bearing), heading)
 
     def _draw(self, cov: np.ndarray) -> np.ndarray:
         """(3,) zero-mean normal vector; an exact sensor draws too, so that the stream does not depend on the noise."""

@@ -5,12 +5,15 @@ One tolerance, `TOLERANCE_M`, says what counts as touching. All queries look at 
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+import shapely
 
 from sim.world import World
 
 TOLERANCE_M = 1e-9
+ROUNDING_M = 1e-6  # by less than this nothing is hidden, or away from its wall, beyond the doubt of rounding
 PROBE_M = 1e-4  # so far ahead is looked whether a robot at a wall heads into it
 
 
@@ -33,6 +36,12 @@ class Sight:
         self.world = world
         self.points = world.points
         self._edge = world.points[world.next_index] - world.points
+
+    @cached_property
+    def _drawn_out(self) -> shapely.Polygon:
+        polygon = self.world.polygon.buffer(ROUNDING_M, join_style="mitre")
+        shapely.prepare(polygon)
+        return polygon
 
     def contact_break(self, watcher, start, end, start_corner: int | None = None) -> float | None:
         """Fraction of the straight drive start -> end after which the watcher loses sight of the robot.
@@ -128,6 +137,16 @@ class Sight:
         stops = np.concatenate([[0.0], np.sort(touched), [length]])
         middles = a + np.outer((stops[:-1] + stops[1:]) / 2, direction)
         return bool(all(self._is_free(point) for point in middles))
+
+    def is_hidden(self, a, b) -> bool:
+        """Whether a does not see b, beyond any doubt of rounding: an obstacle lies between them, deeper than 1 um."""
+        return not self.sees(a, b) and not self._drawn_out.covers(shapely.LineString([a, b]))
+
+    def is_at_wall(self, point, wall: int) -> bool:
+        """Whether a point lies on a wall, but for rounding."""
+        arm, edge = point - self.points[wall], self._edge[wall]
+        fraction = min(max(float(arm @ edge / (edge @ edge)), 0.0), 1.0)
+        return bool(np.hypot(*(arm - fraction * edge)) <= ROUNDING_M)
 
     def corners_near(self, point, reach_m: float) -> np.ndarray:
         """Flat indices of the corners within reach, nearest first."""

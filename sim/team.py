@@ -4,93 +4,23 @@ Event-driven: where a move ends is computed, not stepped to; then the leg is sam
 Truth stays here; `Team.truth` is its own door, for evaluation and figures only.
 """
 
-import re
-from bisect import bisect_right
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from coopslam.errors import BadInput, BadMove
+from coopslam.errors import BadMove
 from coopslam.exploration.moves import DriveAway, FollowWall, GoToCorner, Move, MoveEnd, ReturnAlongContact, Side, Step
-from coopslam.records import Odometry
-from coopslam.se2 import Pose2, wrap
+from coopslam.se2 import Pose2
+from sim.driving import Drive, Driver
 from sim.homing import Waypoint, best_corner, cut_off, way_to_corner
+from sim.scene import Body, Scene
 from sim.sensors import Sensors
-from sim.sight import TOLERANCE_M, Sight, cross
+from sim.sight import TOLERANCE_M, cross
+from sim.team_settings import TeamSettings
+from sim.truth import Truth, TruthTrack
 from sim.world import World
 
-
-@dataclass(frozen=True, slots=True)
-class TeamSettings:
-    """How the robots start, move and sample."""
-
-    robots: tuple[str, ...] = ("robot0", "robot1")
-    start_ring: int = 0
-    start_corner: int = 0
-    start_step_m: float = 0.3  # of each further robot along the wall; at most half the wall for all of them
-    speed_m_per_s: float = 0.5
-    turn_rate_rad_per_s: float = 1.0
-    odometry_period_s: float = 1.0
-    sighting_period_s: float = 2.0
-    sightings_per_leg: int = 8  # at most; long legs are watched less often
-    finder_reach_m: float = 0.5
-    tracker_blind_m: float = 0.02  # closer than this the tracker sees nothing
-
-    def __post_init__(self):
-        for name in ("start_step_m", "speed_m_per_s", "turn_rate_rad_per_s", "odometry_period_s", "sighting_period_s"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise BadInput(f"{name}: more than zero expected, got {getattr(self, name)}")
-        for name in ("finder_reach_m", "tracker_blind_m"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise BadInput(f"{name}: zero or more expected, got {getattr(self, name)}")
-        if not 1 <= self.sightings_per_leg < np.inf:
-            raise BadInput(f"sightings_per_leg: 1 or more expected, got {self.sightings_per_leg}")
-        if len(self.robots) != 2 or len(set(self.robots)) != 2:
-            raise BadInput(f"robots: two different names expected, got {', '.join(self.robots) or 'none'}")
-        for name in self.robots:
-            if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", name):
-                raise BadInput(f"robots: names of up to 40 letters, digits, - and _ expected, got {name!r}")
-
-
-@dataclass(slots=True)
-class Body:
-    """Where a robot truly is: its pose, and the corner (vertex) or wall (first vertex) that it touches."""
-
-    position: np.ndarray  # (2,) m, world frame
-    heading: float  # rad, world frame
-    corner: int | None = None
-    wall: int | None = None
-
-    @property
-    def pose(self) -> Pose2:
-        return Pose2(*self.position, self.heading)
-
-
-@dataclass(slots=True)
-class TruthTrack:
-    """A robot's true poses at its sampled instants, in the world's frame."""
-
-    stamps_s: list[float] = field(default_factory=list)
-    poses: list[Pose2] = field(default_factory=list)
-
-
-class Truth:
-    """The simulator's own door: the world, the robots' true paths, and which corner each sighting showed."""
-
-    def __init__(self, world: World, robots: tuple[str, ...]):
-        self.world = world
-        self.tracks = {robot: TruthTrack() for robot in robots}
-        self.sighted: dict[tuple[float, str], int] = {}  # (stamp, observer) -> flat index of the corner
-
-    @property
-    def origin(self) -> Pose2:
-        """True start pose of the first robot in the world: the estimated frame."""
-        return next(iter(self.tracks.values())).poses[0]
-
-    def pose_at(self, robot: str, stamp_s: float) -> Pose2:
-        """True pose at a sampled instant, or at the last one before it (the robot stood still since)."""
-        track = self.tracks[robot]
-        return track.poses[max(bisect_right(track.stamps_s, stamp_s + 1e-9) - 1, 0)]
+__all__ = ["Team", "TeamSettings", "Truth", "TruthTrack"]
 
 
 class Team:
@@ -98,24 +28,35 @@ class Team:
 
     def __init__(self, world: World, sensors: Sensors, settings: TeamSettings | None = None):
         self.settings = settings or TeamSettings()
-        self.world, self.sensors, self.sight = world, sensors, Sight(world)
-        self.time_s = 0.0
-        self.truth = Truth(world, self.settings.robots)
-        self._bodies = self._place()
+        self.world, self.sensors = world, sensors
+        self._scene = Scene(world, sensors, self.settings)
+        self._driver = Driver(self._scene)
+        self._bodies, self.sight, self.truth = self._scene.bodies, self._scene.sight, self._scene.truth
+        self._watched = True  # whether the move that is executed began in view of its watcher
+
+    @property
+    def time_s(self) -> float:
+        """Seconds since the start."""
+        return self._scene.time_s
 
     def begin(self) -> Step:
         """What the robots sense before the first move: each other, and the first robot its corner."""
-        first, *others = self.settings.robots
         for robot in self.settings.robots:
-            self._note_truth(robot)
-        records = [self._corner_sighting(first)]
-        for other in others:
-            records += self._mutual_fixes(first, other)
-        return Step(self.time_s, tuple(records), MoveEnd.CORNER)
+            self._scene.note_truth(robot)
+        first = self.settings.robots[0]
+        corner = self._scene.sight_corner(first, self._bodies[first].corner)
+        fixes = self._scene.first_fixes()
+        return Step(self.time_s, (corner, *fixes), MoveEnd.CORNER)
 
     def execute(self, move: Move) -> Step:
-        """Execute one move. Raises BadMove when it makes no sense where the robot stands."""
+        """Execute one move. Raises BadMove when it makes no sense where the robot stands.
+
+        A robot that follows a wall or goes to a corner alone, or where its watcher cannot see it from the start, does
+        so unwatched: neither contact nor a bearing ends that move.
+        """
         self._check(move)
+        body, watcher = self._bodies[move.robot], self._bodies[move.watcher]
+        self._watched = not self.sight.is_hidden(watcher.position, body.position)
         match move:
             case FollowWall():
                 return self._follow_wall(move)
@@ -142,6 +83,10 @@ class Team:
         if isinstance(move, GoToCorner) and not np.isfinite(move.corner_body).all():
             raise BadMove(f"{move.robot} cannot go to {move.corner_body}; finite numbers expected")
 
+    def _require_contact(self, move: Move) -> None:
+        if not self._watched:
+            raise BadMove(f"{move.robot} cannot drive along the line of contact: {move.watcher} does not see it")
+
     # moves
 
     def _follow_wall(self, move: FollowWall) -> Step:
@@ -161,6 +106,7 @@ class Team:
 
     def _return_along_contact(self, move: ReturnAlongContact) -> Step:
         body, watcher = self._bodies[move.robot], self._bodies[move.watcher]
+        self._require_contact(move)
         corner = self.sight.first_corner_between(body.position, watcher.position)
         target = watcher.position if corner is None else self.world.points[corner]
         ended = MoveEnd.PARTNER if corner is None else MoveEnd.CORNER
@@ -168,6 +114,7 @@ class Team:
 
     def _drive_away(self, move: DriveAway) -> Step:
         body, watcher = self._bodies[move.robot], self._bodies[move.watcher]
+        self._require_contact(move)
         line = body.position - watcher.position
         length = np.hypot(*line)
         if length <= TOLERANCE_M:
@@ -233,10 +180,8 @@ class Team:
         """How the finder of a robot sees a corner: corner -> (oriented corner in the world, interior angle)."""
 
         def look(corner: int) -> tuple[Pose2, float]:
-            pose = self._bodies[robot].pose
-            interior = self.world.interior_angle(corner)
-            seen = self.sensors.corner(self.time_s, robot, pose.between(self._corner_pose(corner)), interior)
-            return pose * seen.T_observer_corner, seen.interior_angle_rad
+            seen = self._scene.look_at_corner(robot, corner)
+            return self._bodies[robot].pose * seen.T_observer_corner, seen.interior_angle_rad
 
         return look
 
@@ -245,132 +190,34 @@ class Team:
     def _drive_watched(self, move, target, corner: int | None, wall: int | None, ended: MoveEnd) -> Step:
         """Drive straight to a place, unless contact would break or the watched bearing comes first."""
         body, watcher = self._bodies[move.robot], self._bodies[move.watcher]
+        there = Drive(move.robot, move.watcher, target, ended, corner, wall if corner is None else None, wall, True)
+        if not self._watched or move.alone:
+            return self._driver.execute(replace(there, watcher=None, needs_contact=False))
         lost = self.sight.contact_break(watcher.position, body.position, target, body.corner)
         seen = None
         if move.watch_for_rad is not None:
             bearing = watcher.heading + move.watch_for_rad - self.sensors.bearing_error()
             seen = _bearing_crossing(watcher, body.position, target, bearing)
         if lost is not None and (seen is None or lost <= seen):
-            return self._stop_on_the_way(move, target, lost, wall, MoveEnd.CONTACT)
+            return self._driver.execute(_cut_short(there, body, lost, MoveEnd.CONTACT))
         if seen is not None:
-            return self._stop_on_the_way(move, target, seen, wall, MoveEnd.BEARING)
-        return self._drive(move, target, ended, corner, wall if corner is None else None)
+            return self._driver.execute(_cut_short(there, body, seen, MoveEnd.BEARING))
+        return self._driver.execute(there)
+
+    def _drive(self, move, target, ended: MoveEnd, corner: int | None = None, wall: int | None = None) -> Step:
+        """Drive straight to a place along the line of contact."""
+        return self._driver.execute(Drive(move.robot, move.watcher, target, ended, corner, wall))
 
     def _end_at(self, move, corner: int) -> MoveEnd:
         return MoveEnd.PARTNER if self._bodies[move.watcher].corner == corner else MoveEnd.CORNER
 
-    def _stop_on_the_way(self, move, target, fraction: float, wall: int | None, ended: MoveEnd) -> Step:
-        body = self._bodies[move.robot]
-        if fraction <= 0.0:
-            return self._drive(move, body.position, ended, body.corner, body.wall)
-        return self._drive(move, body.position + fraction * (target - body.position), ended, wall=wall)
 
-    def _drive(self, move, target, ended: MoveEnd, corner: int | None = None, wall: int | None = None) -> Step:
-        """Turn towards the target, drive there, sense on the way and at the end."""
-        body, rates = self._bodies[move.robot], self.settings
-        way = target - body.position
-        distance = float(np.hypot(*way))
-        records = []
-        self._note_truth(move.robot)  # it stood still until now
-        if distance > TOLERANCE_M:
-            heading = float(np.arctan2(way[1], way[0]))
-            turn = float(wrap(heading - body.heading))
-            records += self._sample_turn(move.robot, turn)
-            body.heading = heading
-            apart = max(rates.speed_m_per_s * rates.sighting_period_s, distance / rates.sightings_per_leg)
-            stops = np.arange(1, int(distance / apart) + 1) * apart
-            stops = np.append(stops[stops < distance - 1e-6], distance)
-            start = body.position
-            for before, after in zip(np.concatenate([[0.0], stops[:-1]]), stops, strict=True):
-                records += self._sample_drive(move.robot, after - before)
-                body.position = start + after / distance * way
-                body.corner = body.wall = None
-                self._note_truth(move.robot)
-                records += self._mutual_fixes(move.watcher, move.robot)
-            body.position = np.array(target, dtype=float)
-        body.corner, body.wall = corner, wall
-        if corner is not None and ended in (MoveEnd.CORNER, MoveEnd.PARTNER):
-            records.append(self._corner_sighting(move.robot))
-        travelled = sum(record.T_start_now.x() for record in records if isinstance(record, Odometry))
-        return Step(self.time_s, tuple(records), ended, travelled)
-
-    def _sample_turn(self, robot: str, turn: float) -> list:
-        if abs(turn) < 1e-9:  # rounding, not a turn: no sample, so that rounding draws no noise
-            return []
-        share = self._shares(abs(turn) / self.settings.turn_rate_rad_per_s)
-        records = self._odometry(
-            robot, turn * share, np.zeros(len(share)), abs(turn) / self.settings.turn_rate_rad_per_s * share
-        )
-        body = self._bodies[robot]
-        body.heading += turn
-        self._note_truth(robot)
-        return records
-
-    def _sample_drive(self, robot: str, distance: float) -> list:
-        share = self._shares(distance / self.settings.speed_m_per_s)
-        return self._odometry(
-            robot, np.zeros(len(share)), distance * share, distance / self.settings.speed_m_per_s * share
-        )
-
-    def _shares(self, duration_s: float) -> np.ndarray:
-        """(N,) shares of a stretch between one odometry sample and the next; they add up to 1."""
-        steps = max(int(np.ceil(duration_s / self.settings.odometry_period_s - 1e-9)), 1)
-        shares = np.full(steps, self.settings.odometry_period_s / duration_s)
-        shares[-1] = 1.0 - shares[:-1].sum()
-        return shares
-
-    def _odometry(self, robot: str, turns_rad, distances_m, durations_s) -> list:
-        times = self.time_s + np.append(0.0, np.cumsum(durations_s))
-        self.time_s = float(times[-1])
-        return self.sensors.odometry(robot, times, turns_rad, distances_m)
-
-    # sensing
-
-    def _mutual_fixes(self, one: str, other: str) -> list:
-        """Each robot's tracker looks at the other."""
-        a, b = self._bodies[one].pose, self._bodies[other].pose
-        if a.range(b.translation()) < self.settings.tracker_blind_m:
-            return []
-        return [
-            self.sensors.relative_pose(self.time_s, one, other, a.between(b)),
-            self.sensors.relative_pose(self.time_s, other, one, b.between(a)),
-        ]
-
-    def _corner_sighting(self, robot: str):
-        body = self._bodies[robot]
-        self.truth.sighted[self.time_s, robot] = body.corner
-        T_robot_corner = body.pose.between(self._corner_pose(body.corner))
-        return self.sensors.corner(self.time_s, robot, T_robot_corner, self.world.interior_angle(body.corner))
-
-    def _corner_pose(self, corner: int) -> Pose2:
-        """The corner with the direction of the wall that leaves it."""
-        start, end = self.world.points[corner], self.world.points[self.world.next_index[corner]]
-        return Pose2(*start, np.arctan2(*(end - start)[::-1]))
-
-    def _note_truth(self, robot: str) -> None:
-        track = self.truth.tracks[robot]
-        if track.stamps_s and track.stamps_s[-1] == self.time_s:
-            track.stamps_s.pop()
-            track.poses.pop()
-        track.stamps_s.append(self.time_s)
-        track.poses.append(self._bodies[robot].pose)
-
-    def _place(self) -> dict[str, Body]:
-        """The first robot in its corner, looking along the wall that leaves it; the others a step further each."""
-        settings = self.settings
-        try:
-            corner = self.world.flat_index(settings.start_ring, settings.start_corner)
-        except IndexError as error:
-            raise BadInput(f"start_ring, start_corner: {error}") from None
-        start, end = self.world.points[corner], self.world.points[self.world.next_index[corner]]
-        heading = self._corner_pose(corner).theta()
-        length = np.hypot(*(end - start))
-        step = min(settings.start_step_m, 0.5 * length / max(len(settings.robots) - 1, 1))
-        bodies = {}
-        for k, robot in enumerate(settings.robots):
-            position = start + k * step * (end - start) / length
-            bodies[robot] = Body(position, heading, corner if k == 0 else None, None if k == 0 else corner)
-        return bodies
+def _cut_short(drive: Drive, body: Body, fraction: float, ended: MoveEnd) -> Drive:
+    """The first part of a drive, up to where it must end for another reason."""
+    if fraction <= 0.0:
+        return replace(drive, target=body.position, ended=ended, corner=body.corner, wall=body.wall)
+    target = body.position + fraction * (drive.target - body.position)
+    return replace(drive, target=target, ended=ended, corner=None, wall=drive.wall_on_the_way)
 
 
 def _joined(first: Step, then: Step) -> Step:

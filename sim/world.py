@@ -4,7 +4,6 @@ The frame is the one of the file. Free space lies on the left of every directed 
 counter-clockwise, holes run clockwise. Exactly straight (180 degree) vertices are vertices like any other.
 """
 
-import json
 import os
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +13,9 @@ import numpy as np
 import shapely
 
 from coopslam.errors import BadInput
-from sim.world_checks import parse_rings, require_simple_rings, require_world_scale, signed_area
+from sim.ground import Patch, noise_factors
+from sim.world_checks import parse_rings, require_simple_rings, require_world_scale, short, signed_area
+from sim.world_geojson import parse_name, parse_world, read_json
 
 WORLDS_DIR = Path(__file__).parents[1] / "datasets" / "worlds"
 
@@ -29,6 +30,7 @@ class World:
 
     name: str
     rings: tuple[np.ndarray, ...]  # (n_i, 2) each; m
+    patches: tuple[Patch, ...] = ()  # where odometry is noisier
 
     def __post_init__(self):
         for ring, corners in enumerate(self.rings):
@@ -113,14 +115,27 @@ class World:
             raise IndexError(f"world {self.name} has no corner {index} in ring {ring}")
         return int(self.offset[ring]) + index
 
+    def noise_factors(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """(N,) factors on the sigmas of true odometry along straight stretches between (N, 2) places, m.
+
+        The square is averaged over the length; a stretch of no length (a turn) has the factor of its place.
+        """
+        return noise_factors(self.patches, starts, ends) if self.patches else np.ones(len(starts))
+
     def to_geojson(self) -> dict:
-        """A Feature whose rings are closed, in the same order and direction; `world_from_geojson` reads it back."""
+        """A Feature whose rings are closed, in the same order and direction; `world_from_geojson` reads it back.
+
+        With patches a FeatureCollection: that feature, then one for each patch.
+        """
         coordinates = [[*ring.tolist(), ring[0].tolist()] for ring in self.rings]
-        return {
+        feature = {
             "type": "Feature",
             "properties": {"name": self.name, "units": "m"},
             "geometry": {"type": "Polygon", "coordinates": coordinates},
         }
+        if not self.patches:
+            return feature
+        return {"type": "FeatureCollection", "features": [feature, *(patch.to_geojson() for patch in self.patches)]}
 
     def _neighbours(self, step: int) -> np.ndarray:
         """(n,) flat index of the corner `step` places further along each corner's ring."""
@@ -145,81 +160,19 @@ def load_world(path_or_name: str | Path) -> World:
         path = Path(text)
     else:
         raise BadInput(
-            f"no world {_short(text)}; expected a path to a GeoJSON file or one of: {', '.join(world_names())}"
+            f"no world {short(text)}; expected a path to a GeoJSON file or one of: {', '.join(world_names())}"
         )
-    return world_from_geojson(_read_json(path), where=str(path), default_name=path.stem)
+    return world_from_geojson(read_json(path), where=str(path), default_name=path.stem)
 
 
 def world_from_geojson(data: dict, where: str = "world", default_name: str = "world") -> World:
-    """The one polygon of a GeoJSON object; `where` begins every message. Raises BadInput."""
-    coordinates, properties = _only_polygon(data, where)
+    """The one polygon of a GeoJSON object, and its patches; `where` begins every message. Raises BadInput."""
+    coordinates, properties, patches = parse_world(data, where)
     rings = parse_rings(coordinates, where)
     require_world_scale(rings, properties.get("units"), where)
     require_simple_rings(rings, where)
-    return World(_name(properties, default_name, where), tuple(_free_space_left(i, r) for i, r in enumerate(rings)))
-
-
-def _read_json(path: Path):
-    try:
-        return json.loads(path.read_bytes().decode("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: byte {error.start} is not UTF-8 text; a GeoJSON file expected") from error
-    except json.JSONDecodeError as error:
-        raise BadInput(f"{path}, line {error.lineno}: not JSON ({error.msg}); a GeoJSON file expected") from error
-    except RecursionError as error:
-        raise BadInput(f"{path}: JSON nested too deeply; a GeoJSON polygon expected") from error
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise BadInput(f"{path}: cannot be read ({reason}); a GeoJSON file expected") from error
-
-
-def _only_polygon(data, where: str) -> tuple[list, dict]:
-    """The coordinates of the one polygon, and the properties of its feature."""
-    _require_object(data, where)
-    features = _list(data, "features", where) if data.get("type") == "FeatureCollection" else [data]
-    polygons = [polygon for feature in features for polygon in _polygons(feature, where)]
-    if len(polygons) != 1:
-        raise BadInput(f"{where}: {len(polygons) or 'no'} polygons found; exactly one expected")
-    return polygons[0]
-
-
-def _polygons(data, where: str) -> list[tuple[list, dict]]:
-    """Every polygon's coordinates in a Feature or geometry; geometries of other types are left out."""
-    _require_object(data, where)
-    properties = {}
-    if data.get("type") == "Feature":
-        properties = data.get("properties") or {}
-        if not isinstance(properties, dict):
-            raise BadInput(f"{where}: properties are {_short(properties)}; an object expected")
-        data = data.get("geometry") or {}
-        _require_object(data, where)
-    if data.get("type") == "Polygon":
-        return [(_list(data, "coordinates", where), properties)]
-    if data.get("type") == "MultiPolygon":
-        return [(coordinates, properties) for coordinates in _list(data, "coordinates", where)]
-    return []
-
-
-def _require_object(data, where: str) -> None:
-    if not isinstance(data, dict):
-        raise BadInput(f"{where}: {_short(data)} found; a GeoJSON object expected")
-    if data.get("crs") is not None:
-        raise BadInput(f"{where}: has a crs member ({_short(data['crs'])}); plain metres without a crs expected")
-
-
-def _list(data: dict, key: str, where: str) -> list:
-    if not isinstance(data.get(key), list):
-        raise BadInput(f"{where}: {data['type']} has {key} {_short(data.get(key))}; a list expected")
-    return data[key]
-
-
-def _name(properties: dict, default: str, where: str) -> str:
-    name = properties.get("name")
-    if name is None:
-        return default
-    if not isinstance(name, str) or not name.strip():
-        raise BadInput(f"{where}: properties.name is {_short(name)}; text expected")
-    return " ".join(name.split())
+    name = parse_name(properties, default_name, where)
+    return World(name, tuple(_free_space_left(i, r) for i, r in enumerate(rings)), patches)
 
 
 def _free_space_left(ring: int, corners: np.ndarray) -> np.ndarray:
@@ -233,8 +186,3 @@ def _frozen(array: np.ndarray) -> np.ndarray:
     array = np.ascontiguousarray(array)
     array.setflags(write=False)
     return array
-
-
-def _short(value) -> str:
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -55,6 +55,12 @@ def require_simple_rings(rings: list[np.ndarray], where: str) -> None:
     _require_holes_inside(rings, where)
 
 
+def short(value) -> str:
+    """A value as it is quoted in a message: in one line, of at most 60 characters."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
 def _parse_ring(ring: int, positions, where: str) -> np.ndarray:
     if not isinstance(positions, list):
         raise BadInput(f"{where}: {_ring(ring)} is not a list of positions")

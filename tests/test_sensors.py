@@ -9,14 +9,24 @@ from scipy.stats import chi2
 
 from coopslam.errors import BadInput, BadRecord
 from coopslam.se2 import Pose2, compose_leg, xytheta
-from sim.noise import EXACT, PRESETS, TYPICAL, FinderNoise, Noise, OdometryNoise, TrackerNoise
+from sim.noise import (
+    EXACT,
+    PRESETS,
+    TYPICAL,
+    FalseSightings,
+    FinderNoise,
+    Noise,
+    OdometryBias,
+    OdometryNoise,
+    TrackerNoise,
+)
 from sim.sensors import Sensors
 
 NO_FLOOR = OdometryNoise(floor_sigma=0.0)
 
 
-def sensors(true=TYPICAL, believed=None, seed=0) -> Sensors:
-    return Sensors(true, believed or true, np.random.default_rng(seed))
+def sensors(true=TYPICAL, believed=None, seed=0, **more) -> Sensors:
+    return Sensors(true, believed or true, np.random.default_rng(seed), **more)
 
 
 def split(turn: float, distance: float, steps: int):
@@ -125,7 +135,19 @@ def test_the_finders_covariance_is_that_of_its_scatter():
     errors = np.array([xytheta(s.T_observer_corner) - xytheta(corner) for s in seen])
     require_covariance(errors, seen[0].cov_observer)
     assert in_band(np.array([s.interior_angle_rad for s in seen]) - 4.5, seen[0].interior_angle_sigma_rad)
-    assert in_band(errors[:, 0], 0.005) and in_band(errors[:, 2], radians(0.5))
+    line = np.array([0.1, -0.2]) / np.hypot(0.1, 0.2)
+    assert in_band(errors[:, :2] @ line, 0.005) and in_band(errors[:, 2], radians(0.5))
+
+
+def test_the_finders_error_across_the_line_of_sight_grows_with_distance():
+    """5 mm and half a degree: at 1.5 m the sideways sigma is that of both, along the line it stays 5 mm."""
+    sensor, corner = sensors(), Pose2(-0.9, 1.2, 0.4)
+    seen = [sensor.corner(2.0, "ann", corner, 4.5) for _ in range(4000)]
+    errors = np.array([xytheta(s.T_observer_corner) - xytheta(corner) for s in seen])
+    line, across = np.array([-0.6, 0.8]), np.array([-0.8, -0.6])
+    assert in_band(errors[:, :2] @ line, 0.005)
+    assert in_band(errors[:, :2] @ across, np.hypot(0.005, 1.5 * radians(0.5)))
+    require_covariance(errors, np.mean([s.cov_observer for s in seen], axis=0))
 
 
 def test_an_exact_sensor_tells_the_truth():
@@ -170,3 +192,102 @@ def test_sigmas_that_cannot_be_are_refused(kind, value):
     for name in kind.__dataclass_fields__:
         with pytest.raises(BadInput, match=f"{name}.*{value}"):
             kind(**{name: value})
+
+
+def test_slippery_ground_scales_the_true_sigmas_and_not_the_belief():
+    sensor, factors = sensors(), np.array([1.0, 3.0, 0.5])
+    legs = [sensor.odometry("a", np.arange(4.0), np.zeros(3), np.ones(3), factors) for _ in range(1500)]
+    for k, factor in enumerate(factors):
+        errors = np.array([xytheta(Pose2(1, 0, 0).between(leg[k].T_start_now)) for leg in legs])
+        assert in_band(errors[:, 0], factor * 0.03) and in_band(errors[:, 2], factor * radians(2.0))
+        require_covariance(errors, factor**2 * TYPICAL.odometry.covariance(0.0, 1.0))
+        assert np.sqrt(np.mean([leg[k].cov_now[0, 0] for leg in legs])) == pytest.approx(0.03, rel=0.02)
+    turned = [sensor.odometry("a", np.arange(2.0), np.ones(1), np.zeros(1), np.full(1, 3.0))[0] for _ in range(1500)]
+    sigma = 3 * radians(3.0) / np.sqrt(2 * np.pi)
+    assert in_band([record.T_start_now.theta() - 1.0 for record in turned], sigma)
+
+
+def believed_path(bias: OdometryBias, turn: float, distance: float, steps: int) -> Pose2:
+    pose = Pose2()
+    for record in sensors(EXACT, bias=bias).odometry("ann", *split(turn, distance, steps)):
+        pose = pose * record.T_start_now
+    return pose
+
+
+@pytest.mark.parametrize("drift", [0.0, 1e-9, 0.2, -1.0])
+def test_drift_to_one_side_is_an_arc_whatever_the_sampling_rate(drift):
+    """Turned by 1.1 * 0.8 rad, then an arc of 0.95 * 3 m that bends by 3 times the drift; drawn by 20 000 chords."""
+    bias, turned = OdometryBias(scale=-0.05, turn_scale=0.1, drift_rad_per_m=drift), 1.1 * 0.8
+    headings = turned + 3.0 * drift * (np.arange(20_000) + 0.5) / 20_000
+    expected = [np.mean(np.cos(headings)) * 2.85, np.mean(np.sin(headings)) * 2.85, turned + 3.0 * drift]
+    once = believed_path(bias, 0.8, 3.0, 1)
+    assert once.equals(Pose2(*expected), 1e-8)
+    for steps in (2, 7, 100):
+        assert believed_path(bias, 0.8, 3.0, steps).equals(once, 1e-12)
+
+
+def test_without_bias_nothing_changes():
+    assert (OdometryBias().measured(0.3, 0.0).theta(), OdometryBias().measured(0.0, 1.7).x()) == (0.3, 1.7)
+    assert believed_path(OdometryBias(), -0.7, 2.0, 3).equals(Pose2(0, 0, -0.7) * Pose2(2, 0, 0), 1e-15)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value"),
+    [
+        *[(OdometryBias, name, value) for name in ("scale", "turn_scale") for value in (0.51, -0.51, nan, inf)],
+        *[(OdometryBias, "drift_rad_per_m", value) for value in (1.01, -1.01, nan)],
+        *[(FalseSightings, name, value) for name in ("outliers", "dropouts") for value in (-0.01, 0.51, nan)],
+    ],
+)
+def test_biases_and_shares_that_cannot_be_are_refused(kind, name, value):
+    with pytest.raises(BadInput, match=f"{name}.*{value}"):
+        kind(**{name: value})
+
+
+def test_false_sightings_come_as_often_as_they_are_said_to():
+    """Of 4000 looks a fifth drops out and a tenth shows a mirror image: counts within 5 sigmas of the binomial law."""
+    target = Pose2(2.0, -1.0, 0.5)
+    exact = sensors(EXACT, TYPICAL, false_sightings=FalseSightings(outliers=0.1, dropouts=0.2))
+    fixes = [exact.relative_pose(0.0, "ann", "bob", target) for _ in range(4000)]
+    dropped = sum(fix is None for fix in fixes)
+    images = [f.T_observer_target for f in fixes if f is not None and not f.T_observer_target.equals(target, 1e-12)]
+    for count, share in ((dropped, 0.2), (len(images), 0.1)):
+        assert abs(count - 4000 * share) < 5 * np.sqrt(4000 * share * (1 - share))
+    ranges = np.array([image.range(np.zeros(2)) for image in images]) / np.sqrt(5)
+    assert ranges.min() >= 1 + 0.3 / np.sqrt(5) - 1e-9 and 2.5 < ranges.max() <= 3.0
+    for angles in ([np.arctan2(image.y(), image.x()) for image in images], [image.theta() for image in images]):
+        resultant = np.hypot(np.mean(np.cos(angles)), np.mean(np.sin(angles)))
+        assert 2 * len(angles) * resultant**2 < chi2.ppf(0.999, 2)  # Rayleigh's test of uniform directions
+    # the belief is that of the range that was measured, which looks like any other
+    fix = next(f for f in fixes if f is not None and f.T_observer_target.range(np.zeros(2)) > 5.0)
+    metres = fix.T_observer_target.range(np.zeros(2))
+    believed = np.linalg.eigvalsh(fix.cov_observer)
+    assert believed == pytest.approx(np.sort(np.diag(TYPICAL.tracker.line_covariance(metres))))
+
+
+def test_a_mirror_image_near_by_is_at_least_30_cm_farther():
+    mirrored = sensors(EXACT, TYPICAL, false_sightings=FalseSightings(outliers=0.5))
+    ranges = [
+        mirrored.relative_pose(0.0, "a", "b", Pose2(0.06, -0.08, 0.0)).T_observer_target.range(np.zeros(2))
+        for _ in range(100)
+    ]
+    far = [metres for metres in ranges if metres > 0.1 + 1e-9]
+    assert 30 < len(far) < 70 and far == pytest.approx([0.4] * len(far))
+
+
+def test_without_false_sightings_no_random_number_is_spent_on_them():
+    plain, none = sensors(), sensors(false_sightings=FalseSightings())
+    for sensor in (plain, none):
+        sensor.relative_pose(0.0, "a", "b", Pose2(1, 0, 0))
+    assert not none.contact_seems_lost(1)
+    fresh = np.random.default_rng(0)
+    fresh.standard_normal(3)
+    assert plain.rng.random() == none.rng.random() == fresh.random()
+
+
+@pytest.mark.parametrize("confirmations", [1, 3])
+def test_contact_seems_lost_after_so_many_false_sightings_in_a_row(confirmations):
+    sensor = sensors(false_sightings=FalseSightings(outliers=0.2, dropouts=0.3))
+    lost = sum(sensor.contact_seems_lost(confirmations) for _ in range(4000))
+    share = 0.5**confirmations
+    assert abs(lost - 4000 * share) < 5 * np.sqrt(4000 * share * (1 - share))

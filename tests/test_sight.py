@@ -63,6 +63,21 @@ def test_who_sees_whom(name):
     assert ours == [sight.sees(b, a) for a, b in pairs]
 
 
+@pytest.mark.parametrize("name", WORLDS)
+def test_who_is_hidden_beyond_doubt(name):
+    """Hidden is what lines shifted a little both ways do not see either; rounding of a grazing line hides nobody."""
+    world = get(name)
+    sight, free, rng = Sight(world), drawn_out(world), np.random.default_rng(1)
+    places = np.vstack([inside(world, rng, 20), world.points[rng.permutation(world.n)[:25]]])
+    pairs = [(a, b) for a in places for b in places]
+    hidden = [sight.is_hidden(a, b) for a, b in pairs]
+    assert hidden == [not visible(free, a, b[None])[0] for a, b in pairs]
+    for k in range(world.n):  # along a wall, a little inside it
+        a, b = world.points[k], world.points[world.next_index[k]]
+        outward = np.array([b[1] - a[1], a[0] - b[0]]) / np.hypot(*(b - a))
+        assert not sight.is_hidden(a + 1e-8 * outward, b + 1e-8 * outward)
+
+
 def test_seeing_along_walls_and_past_corners():
     sight = Sight(world_of(HALL, PILLAR))
     a = np.array

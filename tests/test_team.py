@@ -252,7 +252,7 @@ def test_records_come_in_order_and_the_watcher_stands():
         assert all(a.stamp_s == b.start_s for a, b in zip(odometry, odometry[1:], strict=False))
         fixes = [record for record in step.records if isinstance(record, RelativePoseFix)]
         assert [fix.observer for fix in fixes] == [B if mover == A else A, mover] * (len(fixes) // 2)
-        assert 1 <= len(fixes) // 2 <= team.settings.sightings_per_leg
+        assert 1 <= len(fixes) // 2 <= team.settings.sightings_per_leg + team.settings.passing_corners_per_leg
 
 
 def test_exact_odometry_and_fixes_agree_with_the_truth():
@@ -350,6 +350,9 @@ def test_moves_that_make_no_sense_where_the_robot_stands_are_refused():
         ("finder_reach_m", -0.1),
         ("tracker_blind_m", -0.1),
         ("sightings_per_leg", 0),
+        ("confirmations", 0),
+        ("passing_corners_per_leg", -1),
+        ("robots", tuple("abcdefg")),
         ("robots", ("ann",)),
         ("robots", ()),
         ("robots", ("ann", "ann")),
