@@ -95,6 +95,18 @@ def chain_covariance(delta: Pose2, cov_start: np.ndarray, cov_delta: np.ndarray)
     return carry @ cov_start @ carry.T + cov_delta
 
 
+def inverse_covariance(T_a_b: Pose2, cov_b: np.ndarray) -> np.ndarray:
+    """Covariance of the inverse of T_a_b, in the axes of a, from that of T_a_b in the axes of b."""
+    carry = adjoint(T_a_b)
+    return carry @ cov_b @ carry.T
+
+
+def relative_covariance(T_a_b: Pose2, joint: np.ndarray) -> np.ndarray:
+    """Covariance of T_a_b in the axes of b from the joint (6, 6) one of both poses, each in its own axes."""
+    jacobian = np.hstack([-adjoint(T_a_b.inverse()), np.eye(3)])
+    return jacobian @ joint @ jacobian.T
+
+
 def compose_leg(deltas, covariances) -> tuple[Pose2, np.ndarray]:
     """A chain of increments as one: its pose and its (3, 3) covariance, in the axes of its last pose.
 

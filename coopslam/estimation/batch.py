@@ -9,6 +9,7 @@ import numpy as np
 from coopslam.estimation import graph_check
 from coopslam.estimation.covariances import Covariances
 from coopslam.estimation.estimate import Estimate
+from coopslam.estimation.gate import Gate, GateSettings
 from coopslam.estimation.timeline import Timeline
 from coopslam.records import Record
 from coopslam.se2 import Pose2
@@ -24,14 +25,30 @@ def solve_batch(graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, robots
     robots: names for the messages. METIS ordering: COLAMD overflows the stack on long chains.
     """
     graph_check.check(graph, initial, robots)
+    return optimize(graph, initial)
+
+
+def optimize(
+    graph: gtsam.NonlinearFactorGraph,
+    initial: gtsam.Values,
+    ordering: gtsam.Ordering | None = None,
+    iterations: int = MAX_ITERATIONS,
+) -> gtsam.Values:
+    """Levenberg-Marquardt without a check of the graph.
+
+    ordering: of the variables, for graphs of one structure that are solved again and again.
+    """
     parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setOrderingType("METIS")
+    if ordering is None:
+        parameters.setOrderingType("METIS")
+    else:
+        parameters.setOrdering(ordering)
     parameters.setLinearSolverType(
         "MULTIFRONTAL_QR"
     )  # Cholesky takes a sigma 4 096 times another for an open direction
     parameters.setRelativeErrorTol(RELATIVE_TOLERANCE)
     parameters.setAbsoluteErrorTol(ABSOLUTE_TOLERANCE)
-    parameters.setMaxIterations(MAX_ITERATIONS)
+    parameters.setMaxIterations(iterations)
     return gtsam.LevenbergMarquardtOptimizer(graph, initial, parameters).optimize()
 
 
@@ -45,25 +62,29 @@ def chi_square(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> tuple
 class Batch:
     """Solves everything again at each update, from where the last solution was."""
 
-    def __init__(self, robots: Iterable[str]):
+    def __init__(self, robots: Iterable[str], gate: GateSettings | None = None):
         self.timeline = Timeline(robots)
         self.graph = gtsam.NonlinearFactorGraph()
         self.timing = 0.0  # s spent in updates
-        self._values = gtsam.Values()
         self._causal: dict[int, Pose2] = {}
+        self._values = gtsam.Values()
+        self._estimate = BatchEstimate(self.timeline, self.graph, self._values, self._causal)
+        self._gate = Gate(self.timeline, gate or GateSettings())
 
     def update(self, records: Iterable[Record]) -> Estimate:
         """Solve with a further group of records. Raises UnderDetermined when a variable is not tied down."""
         began = time.perf_counter()
-        growth = self.timeline.extend(records, self._values.atPose2)
+        records = list(records)
+        refusals = self._gate.refusals(records, self._estimate)
+        growth = self.timeline.extend(records, self._values.atPose2, refusals)
         self.graph.push_back(growth.graph)
         self._values.insert(growth.values)
         if growth.graph.size():
             self._values = solve_batch(self.graph, self._values, self.timeline.robots)
-        estimate = BatchEstimate(self.timeline, self.graph, self._values, self._causal)
-        estimate.keep_causal(growth.poses)
+        self._estimate = BatchEstimate(self.timeline, self.graph, self._values, self._causal)
+        self._estimate.keep_causal(growth.poses)
         self.timing += time.perf_counter() - began
-        return estimate
+        return self._estimate
 
     def values(self) -> gtsam.Values:
         """All variables as known now."""

@@ -3,15 +3,17 @@
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from itertools import takewhile
 
 import numpy as np
 
 from coopslam.errors import BadInput
 from coopslam.estimation.estimate import Estimate
 from coopslam.estimation.factors import GAUGE_SIGMA
+from coopslam.estimation.gate import Gate, GateSettings
 from coopslam.estimation.keys import pose_key
 from coopslam.estimation.timeline import Edge, Timeline
-from coopslam.records import Record
+from coopslam.records import Odometry, Record
 from coopslam.se2 import Pose2, adjoint, chain_covariance
 
 
@@ -21,12 +23,15 @@ class DeadReckoning:
     def __init__(self, robots: Iterable[str]):
         self.timeline = Timeline(robots)
         self.timing = 0.0  # s spent in updates
+        self._gate = Gate(self.timeline, GateSettings())  # the fix that places a robot is none that others contradict
         self._estimate = DeadReckoningEstimate(self.timeline)
 
     def update(self, records: Iterable[Record]) -> Estimate:
         """Compose a further group of records."""
         began = time.perf_counter()
-        growth = self.timeline.extend(records, self._estimate.value)
+        records = list(records)
+        first_looks = list(takewhile(lambda record: not isinstance(record, Odometry), records))
+        growth = self.timeline.extend(records, self._estimate.value, self._gate.refusals(first_looks, self._estimate))
         self._estimate.grow(growth.tree)
         self._estimate.keep_causal(growth.poses)
         self.timing += time.perf_counter() - began

@@ -1,6 +1,7 @@
 """What every estimator returns."""
 
 from abc import ABC, abstractmethod
+from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -9,7 +10,7 @@ import numpy as np
 
 from coopslam.errors import BadInput, UnderDetermined
 from coopslam.estimation.keys import vertex_key
-from coopslam.estimation.timeline import Timeline
+from coopslam.estimation.timeline import STAMP_TOLERANCE_S, Timeline
 from coopslam.records import Record
 from coopslam.se2 import Pose2, PoseBelief, chain_covariance
 
@@ -47,6 +48,14 @@ class Estimate(ABC):
     def pose_key(self, robot: str) -> int:
         """Key of the robot's latest pose variable. Raises UnderDetermined while it is not placed."""
         return self._keys(robot)[-1]
+
+    def pose_key_at(self, robot: str, stamp_s: float) -> int:
+        """Key of the robot's pose variable at an instant. Raises UnderDetermined when there is none."""
+        keys, track = self._keys(robot), self.timeline.tracks[robot]
+        number = bisect_right(track.since_s, stamp_s + STAMP_TOLERANCE_S) - 1
+        if number < 0 or stamp_s > track.until_s[number] + STAMP_TOLERANCE_S:
+            raise UnderDetermined(f"{robot} has no pose variable at t = {stamp_s:.3f} s")
+        return keys[number]
 
     def vertex_key(self, vertex: int) -> int:
         """Key of a map vertex. Raises UnderDetermined when it is not placed."""

@@ -12,6 +12,7 @@ from coopslam.errors import BadInput, UnderDetermined
 from coopslam.estimation import deep_stack
 from coopslam.estimation.covariances import Covariances
 from coopslam.estimation.estimate import Estimate
+from coopslam.estimation.gate import Gate, GateSettings
 from coopslam.estimation.graph_check import in_words
 from coopslam.estimation.keys import describe
 from coopslam.estimation.timeline import Timeline
@@ -38,18 +39,26 @@ class IncrementalSettings:
 class Incremental:
     """Causal smoothing: each factor is given to iSAM2 once."""
 
-    def __init__(self, robots: Iterable[str], settings: IncrementalSettings = IncrementalSettings()):
+    def __init__(
+        self,
+        robots: Iterable[str],
+        settings: IncrementalSettings = IncrementalSettings(),
+        gate: GateSettings | None = None,
+    ):
         self.timeline = Timeline(robots)
         self.settings = settings
         self.graph = gtsam.NonlinearFactorGraph()  # everything so far, for a batch solve
         self.timing = 0.0  # s spent in updates
         self._isam = gtsam.ISAM2(_parameters(settings))
+        self._gate = Gate(self.timeline, gate or GateSettings())
         self._estimate = IncrementalEstimate(self)
 
     def update(self, records: Iterable[Record]) -> Estimate:
         """Smooth with a further group of records. Raises UnderDetermined when a variable is not tied down."""
         began = time.perf_counter()
-        growth = self.timeline.extend(records, self._isam.calculateEstimatePose2)
+        records = list(records)
+        refusals = self._gate.refusals(records, self._estimate)
+        growth = self.timeline.extend(records, self._isam.calculateEstimatePose2, refusals)
         self.graph.push_back(growth.graph)
         self._smooth(growth.graph, growth.values)
         self._estimate.forget()

@@ -20,6 +20,11 @@ def is_vertex(key: int) -> bool:
     return gtsam.symbolChr(key) == ord("v")
 
 
+def robot_index(key: int) -> int | None:
+    """Index of the robot whose pose it is; None for any other variable."""
+    return gtsam.symbolIndex(key) >> _INDEX_BITS if gtsam.symbolChr(key) == ord("x") else None
+
+
 def describe(key: int, robots=()) -> str:
     """The key in words: "robot1 pose 17", "vertex 5"; without names "robot #1 pose 17"."""
     letter, index = gtsam.symbolChr(key), gtsam.symbolIndex(key)

@@ -7,8 +7,9 @@ a frame of their own; what concerns them is held back until a fix joins the fram
 
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import gtsam
 import numpy as np
@@ -20,6 +21,7 @@ from coopslam.records import (
     BearingFix,
     BearingRangeFix,
     CornerDecision,
+    CornerEvidence,
     CornerSighting,
     MoveNote,
     Odometry,
@@ -77,6 +79,13 @@ class Track:
     T_last_now: Pose2 = field(default_factory=Pose2)
     cov_now: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
 
+    @property
+    def arrived_s(self) -> float:
+        """When the robot came to the pose at which it is now; -inf while it has none."""
+        if self.moved:
+            return self.odometry_end_s
+        return self.since_s[-1] if self.since_s else -np.inf
+
 
 class Timeline:
     """Which variables and factors the records of a run call for; the same records always give the same."""
@@ -91,6 +100,7 @@ class Timeline:
         self.vertices: list[int] = []  # ids of placed vertices, in the order of their placement
         self.used: Counter[str] = Counter()  # kind of record -> number
         self.dropped: Counter[str] = Counter()  # "kind: reason" -> number
+        self.refused: list[gtsam.NonlinearFactor] = []  # of fixes that were not believed; they may be looked at again
         self._frames = {robot: Frame({robot: None}) for robot in self.robots}  # also by vertex id
         self._anchored = self._frames[self.robots[0]]
         self._waiting: dict = {}  # robot or vertex that is not placed -> [(factor, members)]
@@ -98,14 +108,22 @@ class Timeline:
         self._growth = Growth()
         self._estimate: Callable[[int], Pose2] | None = None
 
-    def extend(self, records: Iterable[Record], estimate: Callable[[int], Pose2]) -> Growth:
+    def extend(
+        self,
+        records: Iterable[Record],
+        estimate: Callable[[int], Pose2],
+        refusals: Mapping[int, str] = MappingProxyType({}),
+    ) -> Growth:
         """New factors, new variables and their guesses.
 
-        estimate: the current value of a variable that an earlier call handed out.
+        estimate: the current value of a variable that an earlier call handed out.  refusals: position among the
+        records of each relative pose fix that is not believed, and why; it has its variables, and no factor.
         """
         self._growth, self._estimate, self._doubt = Growth(), estimate, {}
-        for record in records:
-            if self._take(record):
+        for position, record in enumerate(records):
+            if position in refusals:
+                self._refuse(record, refusals[position])
+            elif self._take(record):
                 self.used[type(record).__name__] += 1
         self._growth.values, self._growth.poses = self._anchored.values, self._anchored.poses
         self._anchored.values, self._anchored.poses = gtsam.Values(), []
@@ -140,8 +158,8 @@ class Timeline:
         if not track.keys:
             self._begin(track, record.start_s)
         track.odometry_end_s = record.stamp_s
-        if not record.cov_now.any() and not xytheta(record.T_start_now).any():
-            return True  # it stands, and knows it
+        if not is_motion(record):
+            return True
         if not track.moved:
             track.until_s[-1] = record.start_s
         track.moved = True
@@ -191,7 +209,7 @@ class Timeline:
         self._add(make[type(record)](*keys, record), (record.observer, record.target))
         return True
 
-    def _take_nothing(self, record: TriangleDecision | MoveNote) -> bool:
+    def _take_nothing(self, record: CornerEvidence | TriangleDecision | MoveNote) -> bool:
         return True  # nothing to estimate
 
     # ---- pose variables ----
@@ -313,9 +331,21 @@ class Timeline:
         for factor, members in self._waiting.pop(member, []):
             self._add(factor, members)
 
+    def _refuse(self, record: RelativePoseFix, reason: str) -> None:
+        """Keep the factor of a fix that is not believed, and count it; its poses are variables nevertheless."""
+        keys = self._pair(record)
+        if keys is not None:
+            self.refused.append(factors.relative_pose(*keys, record))
+            self._drop(record, reason)
+
     def _drop(self, record, reason: str) -> bool:
         self.dropped[f"{type(record).__name__}: {reason}"] += 1
         return False
+
+
+def is_motion(record: Odometry) -> bool:
+    """Whether a robot may have moved; otherwise it stands, and knows it."""
+    return bool(record.cov_now.any() or xytheta(record.T_start_now).any())
 
 
 _TAKE = {
@@ -327,6 +357,7 @@ _TAKE = {
     BearingRangeFix: Timeline._take_fix,
     RangeFix: Timeline._take_fix,
     BearingFix: Timeline._take_fix,
+    CornerEvidence: Timeline._take_nothing,
     TriangleDecision: Timeline._take_nothing,
     MoveNote: Timeline._take_nothing,
 }
