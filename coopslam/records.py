@@ -142,6 +142,22 @@ class CornerDecision:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class CornerEvidence:
+    """What the team did to find out whether the corner in which a robot stands is a certain map vertex."""
+
+    stamp_s: float
+    observer: str
+    vertex: int
+    done: str
+    log_odds: float  # afterwards: natural logarithm of "is the vertex" over "is a corner never seen before"
+
+    def __post_init__(self):
+        _check_stamp(self.stamp_s, self.observer)
+        if not isfinite(self.log_odds):
+            raise BadRecord(f"{self.observer} has log odds of {self.log_odds} that it stands in vertex {self.vertex}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class WallDecision:
     """The team decides that a straight wall joins two map vertices; free space lies left of start -> end."""
 
@@ -186,7 +202,7 @@ class MoveNote:
 
 
 Measurement = Odometry | RelativePoseFix | BearingRangeFix | RangeFix | BearingFix | CornerSighting
-Decision = CornerDecision | WallDecision | TriangleDecision
+Decision = CornerDecision | CornerEvidence | WallDecision | TriangleDecision
 Record = Measurement | Decision | MoveNote
 
 

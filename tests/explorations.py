@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from coopslam.estimation.batch import BatchEstimate, solve_batch
+from coopslam.estimation.batch import BatchEstimate
 from coopslam.estimation.incremental import Incremental
-from coopslam.exploration.explorer import Explorer
+from coopslam.estimation.robust import solve_robust
+from coopslam.exploration.explorer import Explorer, ExplorerSettings
 from coopslam.exploration.mission import Budget, Mission, run_mission
 from coopslam.records import CornerDecision, Record
 from sim.noise import PRESETS, Noise
@@ -33,8 +34,9 @@ class Run:
         return self.mission.explorer.free_map
 
     def smoothed(self) -> BatchEstimate:
-        values = solve_batch(self.driver.graph, self.driver.values(), ROBOTS)
-        return BatchEstimate(self.driver.timeline, self.driver.graph, values)
+        driver = self.driver
+        solution = solve_robust(driver.graph, driver.timeline.refused, driver.values(), ROBOTS)
+        return BatchEstimate(driver.timeline, solution.graph, solution.values)
 
     def corner_of(self) -> dict[int, int]:
         """Map vertex -> true corner. Fails when a vertex was taken for two corners or a corner for two vertices."""
@@ -55,12 +57,13 @@ def run(
     believed: Noise | None = None,
     budget: Budget | None = None,
     team: TeamSettings | None = None,
+    settings: ExplorerSettings | None = None,
 ) -> Run:
     world = load_world(world) if isinstance(world, str) else world
     sensors = Sensors(true or PRESETS[noise][0], believed or PRESETS[noise][1], np.random.default_rng(seed))
     robots = Team(world, sensors, team)
     driver, records = Incremental(ROBOTS), []
-    mission = run_mission(robots, driver, Explorer(ROBOTS), records.append, budget)
+    mission = run_mission(robots, driver, Explorer(ROBOTS, settings), records.append, budget)
     return Run(world, robots, mission, driver, records)
 
 

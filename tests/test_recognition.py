@@ -5,12 +5,20 @@ from math import pi
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.special import expit
+from scipy.stats import chi2, multivariate_normal, norm
 
 from coopslam.estimation.incremental import Incremental
 from coopslam.exploration.chart import Chart, ChartSettings
 from coopslam.exploration.free_map import FreeMap
-from coopslam.exploration.recognition import corner_distance_sq, fitting_sector, interior_angle_agrees
+from coopslam.exploration.recognition import (
+    Walked,
+    corner_distance_sq,
+    could_be,
+    fitting_sector,
+    interior_angle_agrees,
+    log_odds,
+)
 from coopslam.records import CornerDecision, CornerSighting, Odometry, RelativePoseFix
 from coopslam.se2 import Pose2, xytheta
 
@@ -81,6 +89,70 @@ def test_the_interior_angle_must_agree():
     assert not interior_angle_agrees(seen(1.5, 0.01), 1.57, 4.0)
 
 
+def chart_of(estimate, interior_angle_rad: float = 1.5) -> Chart:
+    """A chart of a map with the one vertex 0."""
+    free_map = FreeMap()
+    free_map.add_vertex(0, interior_angle_rad)
+    chart = Chart(free_map, ChartSettings())
+    chart.look_at(estimate)
+    return chart
+
+
+def test_odds_are_a_normal_density_over_a_flat_one():
+    """scipy's densities of place, direction and interior angle; a stranger's are 0.5 / m^2, 1 / 2 pi and 1 / 2 pi."""
+    estimate, sighting = sighting_after_a_walk(np.random.default_rng(3))
+    chart = chart_of(estimate, interior_angle_rad=1.51)
+    keys = [estimate.pose_key("bob"), estimate.vertex_key(0)]
+    there, Z = estimate.vertex(0).between(estimate.pose("bob")), sighting.T_observer_corner
+    joint, step = estimate.joint_covariance(keys), 1e-6
+
+    def mismatch(errors):  # of the pose, the vertex and the sighting, all on the right
+        pose, vertex, seen = (Pose2(*errors[k : k + 3]) for k in (0, 3, 6))
+        return xytheta(vertex.inverse() * there * pose * Z * seen)
+
+    jacobian = np.array([(mismatch(step * e) - mismatch(-step * e)) / (2 * step) for e in np.eye(9)]).T
+    turn = np.eye(3)
+    turn[:2, :2] = Z.inverse().rotation().matrix()
+    spread = np.block([[joint, np.zeros((6, 3))], [np.zeros((3, 6)), turn @ SEEN_COV @ turn.T]])
+    known = multivariate_normal(np.zeros(3), jacobian @ spread @ jacobian.T).logpdf(mismatch(np.zeros(9)))
+    known += norm(1.51, np.sqrt(2) * 0.01).logpdf(1.5)
+    stranger = np.log(0.5 / (2 * pi) / (2 * pi))
+    odds, distance_sq = log_odds(chart, [(sighting, 0)], 0.5, 5.0)
+    assert odds == pytest.approx(known - stranger, abs=1e-3)
+    assert distance_sq == pytest.approx(corner_distance_sq(estimate, sighting, 0))
+
+
+def test_odds_are_those_of_a_fair_bet():
+    """Half of the corners are the known one, half are strangers near by: of sightings that leave doubt, as
+    many are strangers as the odds say."""
+    rng = np.random.default_rng(4)
+    estimate, _ = sighting_after_a_walk(rng)
+    chart = chart_of(estimate)
+    mean = estimate.pose("bob").between(estimate.vertex(0))
+    keys = [estimate.pose_key("bob"), estimate.vertex_key(0)]
+    joint = np.linalg.cholesky(estimate.joint_covariance(keys))
+    chances, same = [], []
+    for _ in range(4000):
+        is_same = rng.random() < 0.5
+        pose, vertex = (Pose2(*error) for error in (joint @ rng.standard_normal(6)).reshape(2, 3))
+        really = pose.inverse() * mean * vertex
+        angle = 1.5 + np.sqrt(2) * 0.01 * rng.standard_normal()
+        if not is_same:  # in a square of 10 cm, so that many leave doubt
+            x, y = rng.uniform(-0.05, 0.05, 2)
+            really = Pose2(mean.x() + x, mean.y() + y, mean.theta() + rng.uniform(-0.1, 0.1))
+            angle = 1.5 + rng.uniform(-0.05, 0.05)
+        seen = Pose2(*(xytheta(really) + rng.multivariate_normal(np.zeros(3), SEEN_COV)))
+        odds, _ = log_odds(chart, [(CornerSighting(4.0, "bob", seen, SEEN_COV, angle, 0.01), 0)], 100.0, 50.0)
+        odds += np.log(0.2 * 0.1 / (2 * pi) ** 2)  # their directions and angles are not spread over full turns
+        chances.append(expit(odds))
+        same.append(is_same)
+    chances, same = np.array(chances), np.array(same)
+    doubtful = (chances > 0.02) & (chances < 0.98)
+    assert doubtful.sum() > 60
+    spread = np.sqrt(np.sum(chances[doubtful] * (1 - chances[doubtful])))
+    assert same[doubtful].sum() == pytest.approx(chances[doubtful].sum(), abs=4 * spread)
+
+
 @dataclass
 class Known:
     """An estimate that is simply right."""
@@ -116,7 +188,7 @@ def fit(free_map: FreeMap, estimate: Known, gate: tuple[int, int], at_end: bool 
     """(sector, miss) of the triangle behind a gate at corner 0."""
     chart = Chart(free_map, ChartSettings())
     chart.look_at(estimate)
-    return fitting_sector(chart, 0, gate, at_end, at_start)
+    return fitting_sector(chart, 0, gate, Walked(at_end, at_start))
 
 
 @pytest.mark.parametrize(
@@ -161,3 +233,13 @@ def test_walls_that_are_taken_leave_no_sector(touched):
     assert fit(free_map, estimate, (5, 6), True, False)[0].index == 2
     sector, miss = fit(free_map, estimate, (3, 4))  # only the far sector is left
     assert sector.index == 2 and np.degrees(miss) == pytest.approx(110.0 + 80.0)
+
+
+def test_the_map_leaves_no_room_for_some_vertices(touched):
+    free_map, _ = touched
+    assert could_be(free_map, 0, (3, 4), Walked())  # it has unexplored sectors
+    assert not could_be(free_map, 3, (3, 4), Walked())  # a triangle has three different corners
+    free_map.add_triangle((1, 0), 3, True, True)  # walls 0 -> 3 and 3 -> 1
+    assert could_be(free_map, 0, (5, 6), Walked(at_end=True))
+    assert not could_be(free_map, 0, (8, 4), Walked(at_start=True))  # the wall that leaves 0 goes to 3, not to 8
+    assert not could_be(free_map, 3, (5, 6), Walked())  # nothing around 3 is unexplored

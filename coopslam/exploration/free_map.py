@@ -143,6 +143,10 @@ class FreeMap:
         """Triangles that have the edge between two vertices."""
         return self._edges.get((min(a, b), max(a, b)), [])
 
+    def joined(self, a: int, b: int) -> bool:
+        """Whether two vertices are the ends of a known edge."""
+        return bool(self.triangles_at(a, b)) or b in (self.wall_leaving(a), self.wall_arriving(a))
+
     def adjacent_triangles(self) -> list[tuple[int, int, tuple[int, int]]]:
         """(triangle, triangle, shared edge) for every diagonal with a triangle on both sides."""
         return [(*triangles, edge) for edge, triangles in self._edges.items() if len(triangles) == 2]

@@ -11,7 +11,7 @@ from coopslam.exploration.account import Stuck
 from coopslam.exploration.explorer import Decided, Explorer
 from coopslam.exploration.free_map import MapConflict
 from coopslam.exploration.moves import Move, Step
-from coopslam.records import MoveNote, Record
+from coopslam.records import MoveNote, Record, RelativePoseFix
 
 
 class Acting(Protocol):
@@ -47,6 +47,7 @@ class Progress:
     open_gates: int
     role_exchanges: int
     travel_m: float
+    sightings: int  # fixes of robots by robots so far
     position_sigma_m: dict[str, float]  # by robot
 
 
@@ -60,6 +61,7 @@ class Mission:
     moves: int = 0
     role_exchanges: int = 0
     travel_m: dict[str, float] = field(default_factory=dict)
+    sightings: int = 0
     history: list[Progress] = field(default_factory=list)
     estimate: Estimate | None = None
 
@@ -98,9 +100,11 @@ def run_mission(
                 return mission
             reply = step = team.execute(action)
             mission.moves += 1
-            mission.role_exchanges += last_mover not in (None, action.robot)
-            last_mover = action.robot
+            if action.robot in explorer.crew.pair:
+                mission.role_exchanges += last_mover not in (None, action.robot)
+                last_mover = action.robot
             mission.travel_m[action.robot] += step.travelled_m
+            mission.sightings += sum(isinstance(record, RelativePoseFix) for record in step.records)
             use((*step.records, MoveNote(step.stamp_s, action.robot, action.watcher, repr(action), step.ended.value)))
             mission.history.append(_progress(mission, step))
             if watch:
@@ -121,6 +125,7 @@ def _progress(mission: Mission, step: Step) -> Progress:
         len(free_map.gates),
         mission.role_exchanges,
         sum(mission.travel_m.values()),
+        mission.sightings,
         {robot: mission.estimate.belief(robot).position_sigma_m for robot in mission.explorer.robots},
     )
 

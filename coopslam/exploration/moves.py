@@ -33,6 +33,7 @@ class FollowWall:
     watcher: str
     wall_on: Side
     watch_for_rad: float | None = None  # bearing of the robot in the watcher's frame
+    alone: bool = False  # go on where contact with the watcher breaks
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +64,7 @@ class GoToCorner:
     watch_for_rad: float | None = None  # as for FollowWall
     limit_m: float | None = None  # drive at most so far; the next move can be aimed better
     keep_contact: bool = False  # where contact would break, go on along the line of contact as far as that leads nearer
+    alone: bool = False  # as for FollowWall
 
 
 Move = FollowWall | ReturnAlongContact | DriveAway | GoToCorner
@@ -82,5 +84,7 @@ class Step:
 
     @property
     def corner(self):
-        """The last corner sighting of the step, or None."""
+        """The sighting of the corner in which the move ended, or None."""
+        if self.ended not in (MoveEnd.CORNER, MoveEnd.PARTNER):
+            return None
         return next((r for r in reversed(self.records) if isinstance(r, CornerSighting)), None)

@@ -1,16 +1,21 @@
-"""How the team gets from the edge on which it stands to an open gate, over the triangles it has mapped.
+"""How the team gets from the edge on which it stands to the open gates, over the triangles it has mapped.
 
-The team stands on an edge (one robot at each end, or both at one vertex). One robot crosses a triangle to its
-third vertex while the other stands, so contact is never lost.
+The team stands on an edge (one robot at each end, or both at one vertex). One robot crosses triangles while the other
+stands, so contact is never lost: the triangles around the one that stands are star-shaped about it, and any straight
+way inside of them is seen from there, however many of their edges it crosses.
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from heapq import heappop, heappush
-from itertools import count
+from math import hypot, inf, sin
 
 import numpy as np
 
 from coopslam.exploration.free_map import FreeMap
+
+CLEARANCE_RAD = 0.05  # by which a way across several triangles passes the corners beyond it, seen from its start
+Positions = Callable[[int], np.ndarray]  # vertex -> (2,) m
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,56 +27,120 @@ class Crossing:
     stander: int
 
 
-def route_to_gate(free_map: FreeMap, at: tuple[int, int], positions) -> tuple[list[Crossing], tuple[int, int]] | None:
-    """The way with the fewest metres from the vertices where the team stands to any open gate (Dijkstra over edges).
+@dataclass(frozen=True, slots=True)
+class GateOption:
+    """An open gate to which the team can go: the way with the fewest metres, and when the gate was opened."""
 
-    positions: vertex -> (2,) in metres.  None: no gate can be reached.
+    gate: tuple[int, int]
+    crossings: tuple[Crossing, ...]
+    metres: float
+    opened: int  # the triangle that opened it; -1: the first wall
+
+
+def route_to_gate(
+    free_map: FreeMap, at: tuple[int, int], positions: Positions
+) -> tuple[list[Crossing], tuple[int, int]] | None:
+    """The way with the fewest metres from the vertices where the team stands to any open gate; None: there is none."""
+    option = next(reachable_gates(free_map, at, positions), None)
+    return None if option is None else (list(option.crossings), option.gate)
+
+
+def reachable_gates(free_map: FreeMap, at: tuple[int, int], positions: Positions) -> Iterator[GateOption]:
+    """The open gates, nearest first, from the vertices where the team stands; searched as far as they are asked for.
+
+    One Dijkstra search over the edges of the map; of ways of equal length the one over the smaller edges.
     """
-
-    def metres(u, v):
-        return float(np.hypot(*(positions(u) - positions(v))))
-
-    order = count()
+    places = _Places(positions)
     start = _edge(*at)
     came: dict[tuple[int, int], tuple[tuple[int, int], Crossing] | None] = {start: None}
     cost = {start: 0.0}
-    queue = [(0.0, next(order), start)]
+    queue = [(0.0, start)]
     while queue:
-        so_far, _, edge = heappop(queue)
+        so_far, edge = heappop(queue)
         if so_far > cost[edge]:
             continue
-        gate = _open_gate(free_map, edge)
-        if gate is not None:
-            return _unwind(came, edge), gate
-        for crossing in _crossings(free_map, edge):
+        for gate in (edge, edge[::-1]):
+            if gate in free_map.gates:
+                triangle = free_map.gates[gate]
+                yield GateOption(gate, _unwind(came, edge), so_far, -1 if triangle is None else triangle)
+        for crossing in crossings_from(free_map, edge, places.__getitem__):
             after = _edge(crossing.end, crossing.stander)
-            total = so_far + metres(crossing.start, crossing.end)
-            if total < cost.get(after, np.inf):
+            total = so_far + places.metres(crossing.start, crossing.end)
+            if total < cost.get(after, inf):
                 cost[after], came[after] = total, (edge, crossing)
-                heappush(queue, (total, next(order), after))
-    return None
+                heappush(queue, (total, after))
 
 
-def _crossings(free_map: FreeMap, edge: tuple[int, int]) -> list[Crossing]:
+def crossings_from(free_map: FreeMap, edge: tuple[int, int], positions: Positions) -> list[Crossing]:
+    """What one robot can do while the other stands: go to a vertex that has an edge to the one that stands."""
     u, v = edge
     if u == v:
-        neighbours = {w for w in free_map.fans[u].spokes if w is not None}
-        return [Crossing(u, w, u) for w in sorted(neighbours)]
-    third = [next(w for w in free_map.triangles[t] if w not in edge) for t in free_map.triangles_at(u, v)]
-    return [crossing for w in third for crossing in (Crossing(u, w, v), Crossing(v, w, u))]
+        return [Crossing(u, w, u) for w in sorted({w for w in free_map.fans[u].spokes if w is not None})]
+    return [
+        Crossing(start, end, stander)
+        for start, stander in ((u, v), (v, u))
+        for turn in (1, -1)
+        for end in _around(free_map, start, stander, turn, positions)
+    ]
 
 
-def _open_gate(free_map: FreeMap, edge: tuple[int, int]) -> tuple[int, int] | None:
-    u, v = edge
-    return next((gate for gate in ((u, v), (v, u)) if gate in free_map.gates), None)
+def _around(free_map: FreeMap, start: int, stander: int, turn: int, positions: Positions) -> Iterator[int]:
+    """Ends of straight ways about a standing robot, counter-clockwise (turn 1) or clockwise (-1), over free triangles.
+
+    The next vertex is always one. The vertices passed must lie beyond the way, clear of it: of them all, the
+    direction of the one nearest to the standing robot, seen from the start, is kept.
+    """
+    fan = free_map.fans[stander]
+    for k in (k for k, spoke in enumerate(fan.spokes) if spoke == start):
+        x, y = positions(start)
+        nearest = None
+        while True:
+            sector = k if turn == 1 else k - 1
+            if not 0 <= sector < len(fan.sectors) or fan.sectors[sector] is None:
+                break
+            k += turn
+            end = positions(fan.spokes[k])
+            way = (end[0] - x, end[1] - y)
+            if nearest is None:
+                yield fan.spokes[k]
+                nearest = way
+                continue
+            to_stander = (positions(stander)[0] - x, positions(stander)[1] - y)
+            if turn * _cross(way, to_stander) <= 0:
+                break  # further on, half a turn about the standing robot is full
+            clear = turn * _cross(nearest, way)
+            if clear > sin(CLEARANCE_RAD) * hypot(*nearest) * hypot(*way) and fan.spokes[k] != start:
+                yield fan.spokes[k]
+            if clear > 0:
+                nearest = way
 
 
-def _unwind(came, edge) -> list[Crossing]:
+class _Places(dict):
+    """Positions, asked for once."""
+
+    def __init__(self, positions: Positions):
+        self._positions = positions
+
+    def __missing__(self, vertex: int) -> tuple[float, float]:
+        x, y = self._positions(vertex)
+        self[vertex] = float(x), float(y)
+        return self[vertex]
+
+    def metres(self, u: int, v: int) -> float:
+        """Distance of two vertices."""
+        return hypot(self[u][0] - self[v][0], self[u][1] - self[v][1])
+
+
+def _unwind(came, edge) -> tuple[Crossing, ...]:
     crossings = []
     while came[edge] is not None:
         edge, crossing = came[edge]
         crossings.append(crossing)
-    return crossings[::-1]
+    return tuple(crossings[::-1])
+
+
+def _cross(u: tuple[float, float], v: tuple[float, float]) -> float:
+    return u[0] * v[1] - u[1] * v[0]
 
 
 def _edge(u: int, v: int) -> tuple[int, int]:
