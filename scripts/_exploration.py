@@ -9,16 +9,19 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Literal, TypeVar
 
+import gtsam
 import networkx as nx
 import numpy as np
 from _exploration_output import summarize, view_of, write_run
 
 from coopslam import __version__
 from coopslam.errors import BadInput, CoopSlamError, UnderDetermined
-from coopslam.estimation.batch import Batch, BatchEstimate, chi_square, solve_batch
+from coopslam.estimation.batch import Batch, BatchEstimate, chi_square
 from coopslam.estimation.dead_reckoning import DeadReckoning
 from coopslam.estimation.estimate import Estimate, Trajectory
+from coopslam.estimation.gate import GateSettings
 from coopslam.estimation.incremental import Incremental, IncrementalSettings
+from coopslam.estimation.robust import RobustSettings, RobustSolution, solve_robust
 from coopslam.evaluation.exploration_score import (
     ExplorationTruth,
 )
@@ -34,7 +37,7 @@ from coopslam.report.run_directory import (
     write_json,
 )
 from coopslam.se2 import Pose2
-from sim.noise import PRESETS, Noise
+from sim.noise import PRESETS, FalseSightings, Noise, OdometryBias
 from sim.sensors import Sensors
 from sim.team import Team, TeamSettings, Truth
 from sim.world import World, load_world, world_names
@@ -56,9 +59,13 @@ class ExplorationSettings:
     figures: Literal["none", "static", "all"] = "static"
     true_noise: Noise | None = None  # instead of the preset's
     believed_noise: Noise | None = None
+    bias: OdometryBias = field(default_factory=OdometryBias)
+    false_sightings: FalseSightings = field(default_factory=FalseSightings)
     team: TeamSettings = field(default_factory=TeamSettings)
     explorer: ExplorerSettings = field(default_factory=ExplorerSettings)
     incremental: IncrementalSettings = field(default_factory=IncrementalSettings)
+    gate: GateSettings = field(default_factory=GateSettings)  # for false sightings, while the robots drive
+    robust: RobustSettings = field(default_factory=RobustSettings)  # for false sightings, in the final smoothing
     budget: Budget = field(default_factory=Budget)
 
     def resolved(self) -> "ExplorationSettings":
@@ -111,12 +118,19 @@ class Exploration:
     mission: Mission
     driver: Incremental | Batch
     truth: ExplorationTruth
+    records: list[Record] = field(default_factory=list)  # everything that is in the log
+    solution: RobustSolution | None = None
     batch: BatchEstimate | None = None
     dead_reckoning: Estimate | None = None
     dual_graph: nx.Graph | None = None
     seconds: dict[str, float] = field(default_factory=dict)  # by estimator
     left_out: LeftOut = field(default_factory=LeftOut)
     summary: dict = field(default_factory=dict)
+
+    @property
+    def graph(self) -> gtsam.NonlinearFactorGraph:
+        """What the final estimate smooths: everything but false sightings."""
+        return self.solution.graph if self.solution else self.driver.graph
 
     @property
     def final(self) -> Estimate:
@@ -133,10 +147,14 @@ def prepare(settings: ExplorationSettings) -> Prepared:
     world = load_world(settings.world)
     if settings.world not in world_names():
         settings = replace(settings, world=str(Path(settings.world).absolute()))  # config.toml is read from anywhere
-    sensors = Sensors(settings.true_noise, settings.believed_noise, np.random.default_rng(settings.seed))
+    rng = np.random.default_rng(settings.seed)
+    sensors = Sensors(settings.true_noise, settings.believed_noise, rng, settings.bias, settings.false_sightings)
     team = Team(world, sensors, settings.team)
     robots = settings.team.robots
-    driver = Incremental(robots, settings.incremental) if settings.estimator == "incremental" else Batch(robots)
+    if settings.estimator == "incremental":
+        driver = Incremental(robots, settings.incremental, settings.gate)
+    else:
+        driver = Batch(robots, settings.gate)
     return Prepared(settings, world, team, driver, Explorer(robots, settings.explorer))
 
 
@@ -157,7 +175,7 @@ def explore(ready: Prepared, out: Path, watch: Callable[[Progress], None] | None
 
         mission = run_mission(ready.team, ready.driver, ready.explorer, keep, settings.budget, watch)
 
-    run = Exploration(settings, world, mission, ready.driver, _truth(ready.team.truth, world, records))
+    run = Exploration(settings, world, mission, ready.driver, _truth(ready.team.truth, world, records), records)
     _smooth(run, records)
     run.dual_graph = run.left_out.attempt("dual_graph.json", _dual_graph, run)
     run.summary = summarize(run)
@@ -187,28 +205,29 @@ def _write_summary(run: Exploration, out: Path) -> None:
 def _smooth(run: Exploration, records: list[Record]) -> None:
     """The batch solution and odometry alone. A map that they contradict is not complete."""
     mission, robots = run.mission, run.settings.team.robots
-    began = time.perf_counter()
-    values = run.left_out.attempt(
-        "estimators.batch", lambda: solve_batch(run.driver.graph, run.driver.values(), robots)
+    driver, began = run.driver, time.perf_counter()
+    run.solution = run.left_out.attempt(
+        "estimators.batch",
+        lambda: solve_robust(driver.graph, driver.timeline.refused, driver.values(), robots, run.settings.robust),
     )
     run.seconds = {"batch": time.perf_counter() - began}
     reckoner = DeadReckoning(robots)
     run.dead_reckoning = run.left_out.attempt("estimators.dead-reckoning", reckoner.update, records)
-    run.seconds |= {"dead-reckoning": reckoner.timing, run.settings.estimator: run.driver.timing}
-    if values is None:
+    run.seconds |= {"dead-reckoning": reckoner.timing, run.settings.estimator: driver.timing}
+    if run.solution is None:
         doubt = f"the final estimate failed: {run.left_out['estimators.batch']}"
     else:
-        run.batch = BatchEstimate(run.driver.timeline, run.driver.graph, values)
-        squares, dof = chi_square(run.driver.graph, values)
+        run.batch = BatchEstimate(driver.timeline, run.graph, run.solution.values)
+        squares, dof = chi_square(run.graph, run.solution.values)
         if dof < ENOUGH_DOF or squares <= WORST_CHI_SQUARE * dof:
             return
         doubt = f"the estimate does not explain the records (chi-square per degree of freedom: {squares / dof:.3g})"
-    if mission.outcome == "complete" or (mission.outcome == "budget" and values is not None):
+    if mission.outcome == "complete" or (mission.outcome == "budget" and run.solution is not None):
         mission.outcome, mission.reason = "stuck", doubt
 
 
 def _dual_graph(run: Exploration) -> nx.Graph:
-    return dual_graph(run.mission.explorer.free_map, run.final, RecordedOdometry(run.driver.graph, run.final))
+    return dual_graph(run.mission.explorer.free_map, run.final, RecordedOdometry(run.graph, run.final))
 
 
 def _header(settings: ExplorationSettings, world: World) -> LogHeader:

@@ -19,6 +19,7 @@ from coopslam.evaluation.exploration_score import (
 )
 from coopslam.io.tum import write_tum
 from coopslam.planning.dual_graph import signed_area_m2
+from coopslam.records import RelativePoseFix
 from coopslam.report.run_directory import (
     write_dual_graph,
     write_json,
@@ -27,7 +28,8 @@ from coopslam.report.run_directory import (
     write_trajectory,
 )
 from coopslam.report.run_view import RunView, UncertaintyPoint
-from coopslam.se2 import position
+from coopslam.report.story import story_of
+from coopslam.se2 import position, rotation
 
 if TYPE_CHECKING:
     from _exploration import Exploration, LeftOut
@@ -53,16 +55,27 @@ def summarize(run: Exploration) -> dict:
         "mapped_area_m2": attempt("mapped_area_m2", _mapped_area_m2, run),
         **(attempt("scores of the triangulation", score_triangulation, free_map, run.truth) or {}),
         **(attempt("scores of the vertices", lambda: score_vertices(free_map, run.final, run.truth)) or {}),
+        "sightings": _sightings(run),
+        "corners_misnamed": run.truth.misnamed,
         "smoothed_moved_m": attempt("smoothed_moved_m", lambda: _largest_move(mission.estimate, run.final)),
         "estimators": _estimators(run),
     }
     return {key: _finite(key, value, run.left_out) for key, value in summary.items() if value is not None}
 
 
+def _sightings(run: Exploration) -> dict[str, int]:
+    """How many sightings of robots by robots there were, and what became of those that looked false."""
+    fixes = sum(isinstance(record, RelativePoseFix) for record in run.records)
+    found = {"fixes": fixes, "refused": len(run.driver.timeline.refused)}
+    if run.solution is not None:
+        found |= {"thrown_out": run.solution.thrown_out, "taken_back": run.solution.taken_back}
+    return found
+
+
 def _estimators(run: Exploration) -> dict[str, dict]:
     """The scores of each estimator that came to an estimate."""
     attempt, mission = run.left_out.attempt, run.mission
-    bound = attempt("crlb_ratio", lambda: bound_on_ate(run.driver.graph, run.final, run.truth))
+    bound = attempt("crlb_ratio", lambda: bound_on_ate(run.graph, run.final, run.truth))
     causal_of = {"dead-reckoning": run.dead_reckoning, run.settings.estimator: mission.estimate}
     estimates = dict(causal_of)
     if run.batch is not None:
@@ -101,7 +114,7 @@ def _largest_move(causal: Estimate, final: Estimate) -> float:
 
 def write_run(run: Exploration, out: Path) -> None:
     """Trajectories, map, dual graph, pose graph and truth."""
-    free_map, driver, attempt = run.mission.explorer.free_map, run.driver, run.left_out.attempt
+    free_map, attempt = run.mission.explorer.free_map, run.left_out.attempt
     for robot in run.settings.team.robots:
         attempt(
             f"trajectories/{robot}.tum",
@@ -110,7 +123,7 @@ def write_run(run: Exploration, out: Path) -> None:
     attempt("map.geojson", lambda: write_map(out / "map.geojson", free_map, run.final))
     if run.dual_graph is not None:
         write_dual_graph(out / "dual_graph.json", run.dual_graph)
-    attempt("pose_graph.g2o", lambda: write_pose_graph(out, driver.graph, run.final))
+    attempt("pose_graph.g2o", lambda: write_pose_graph(out, run.graph, run.final))
     truth = out / "truth"
     truth.mkdir(exist_ok=True)
     write_json(truth / "world.geojson", run.world.to_geojson())
@@ -135,13 +148,17 @@ def view_of(run: Exploration) -> RunView:
         "causal": lambda robot: mission.estimate and mission.estimate.causal_trajectory(robot),
         "smoothed": lambda robot: run.final.trajectory(robot),
     }
-    paths = {kind: {} for kind in sources}
+    paths, stamps_s = {kind: {} for kind in sources}, {kind: {} for kind in sources}
+    path_covariances = {}
     for kind, trajectory_of in sources.items():
         for robot in run.settings.team.robots:
             trajectory = run.left_out.attempt(f"figures: {kind} path of {robot}", trajectory_of, robot)
             if trajectory is not None:
-                paths[kind][robot] = path(trajectory)
+                paths[kind][robot], stamps_s[kind][robot] = path(trajectory), trajectory.stamps_s
+                if kind == "smoothed":
+                    path_covariances[robot] = _map_axes(trajectory)
     paths["true"] = {robot: at_start(path(track)) for robot, track in run.truth.tracks.items()}
+    stamps_s["true"] = {robot: track.stamps_s for robot, track in run.truth.tracks.items()}
     covariances = run.left_out.attempt("figures: map", _vertex_covariances, run)
     mapped = covariances is not None
     return RunView(
@@ -160,7 +177,16 @@ def view_of(run: Exploration) -> RunView:
         ],
         true_rings=[at_start(ring) for ring in run.world.rings],
         true_vertices={v: at_start([position(run.truth.corners[c])])[0] for v, c in run.truth.corner_of.items()},
+        story=story_of(run.records, run.settings.team.robots[:2]),
+        stamps_s=stamps_s,
+        path_covariances=path_covariances,
     )
+
+
+def _map_axes(trajectory: Trajectory) -> np.ndarray:
+    """(N, 2, 2) covariances of the positions, from the axes of each pose to those of the map."""
+    turns = np.reshape([rotation(pose.theta()) for pose in trajectory.poses], (-1, 2, 2))
+    return turns @ trajectory.covariances[:, :2, :2] @ turns.transpose(0, 2, 1)
 
 
 def _vertex_covariances(run: Exploration) -> dict[int, np.ndarray]:

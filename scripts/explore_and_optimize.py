@@ -5,21 +5,29 @@ import re
 import sys
 import time
 from argparse import ArgumentTypeError
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from _cli import OneLineParser, run
 from _exploration import DRIVERS, Exploration, ExplorationSettings, draw, explore, prepare
+from _exploration_output import view_of
 from rich.console import Console
 from rich.live import Live
+from rich.progress import track
 from rich.table import Table
 
 from coopslam.errors import BadInput
 from coopslam.exploration.mission import Progress
+from coopslam.exploration.strategies import STRATEGIES
 from coopslam.io.toml import from_mapping, load_toml
+from coopslam.report import html
+from coopslam.report.animation import write_animation
+from coopslam.report.figures import drawn_in
 from coopslam.report.run_directory import fresh_directory, prepare_run_directory
+from coopslam.report.video import mp4_is_possible
 from sim.noise import PRESETS
+from sim.team_settings import MOST_ROBOTS
 from sim.world import world_names
 
 PLAIN_LINE_EVERY_S = 2.0
@@ -33,12 +41,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     world = ready.world.name
     out = options.out or fresh_directory(Path("runs") / f"{_slug(world)}-{settings.noise_name}-{settings.seed}")
     prepare_run_directory(out, options.force)
-    if settings.figures == "all":
-        print("the animation is not part of this version: static figures are drawn")
     began = time.perf_counter()
     with ProgressDisplay(world) as display:
         finished = explore(ready, out, display.show)
     draw(finished, out)
+    if settings.figures == "all":
+        _animate(finished, out)
     _print_result(finished, out, time.perf_counter() - began)
     if finished.mission.outcome != "complete":
         print(f"exploration {finished.mission.outcome}: {finished.mission.reason}", file=sys.stderr)
@@ -73,7 +81,20 @@ def _parser() -> OneLineParser:
         "--figures",
         metavar="F",
         choices=["none", "static", "all"],
-        help="none, static (default) or all; the animation is not part of this version, so all draws the static ones",
+        help="none, static (default) or all: with an animation of up to 25 s, figures/exploration.mp4 and .gif",
+    )
+    parser.add_argument(
+        "--robots", metavar="N", type=int, help="2 (default) to 6: the first two explore, the others watch"
+    )
+    parser.add_argument(
+        "--strategy", metavar="S", choices=[*STRATEGIES], help=f"which waiting gate next: {', '.join(STRATEGIES)}"
+    )
+    parser.add_argument(
+        "--outliers", metavar="F", type=float, help="fraction of sightings that are reflections, 0 to 0.5"
+    )
+    parser.add_argument("--dropouts", metavar="F", type=float, help="fraction of sightings that are missed, 0 to 0.5")
+    parser.add_argument(
+        "--no-reobservation", action="store_true", help="known corners passed on the way are not used as factors"
     )
     parser.add_argument("--max-moves", metavar="N", type=int, help="stop with outcome budget after so many moves")
     parser.add_argument(
@@ -95,9 +116,42 @@ def _settings(options) -> ExplorationSettings:
     budget = {"moves": options.max_moves, "travel_m": options.max_travel}
     budget = {name: value for name, value in budget.items() if value is not None}
     settings = replace(settings, budget=replace(settings.budget, **budget))
+    false = {name: getattr(options, name) for name in ("outliers", "dropouts") if getattr(options, name) is not None}
+    settings = replace(settings, false_sightings=replace(settings.false_sightings, **false))
+    if options.robots is not None:
+        settings = replace(settings, team=replace(settings.team, robots=_robot_names(options.robots)))
+    if options.strategy is not None:
+        settings = replace(settings, explorer=replace(settings.explorer, strategy=options.strategy))
+    if options.no_reobservation:
+        settings = replace(settings, explorer=replace(settings.explorer, reobserve=False))
     if settings.seed < 0:
         raise BadInput(f"seed: zero or more expected, got {settings.seed}")
     return settings
+
+
+def _robot_names(count: int) -> tuple[str, ...]:
+    if not 2 <= count <= MOST_ROBOTS:
+        raise BadInput(f"--robots: 2 to {MOST_ROBOTS} expected, got {count}")
+    return tuple(f"robot{k}" for k in range(count))
+
+
+def _animate(finished: Exploration, out: Path) -> None:
+    """The animation, and the report once more with it. It takes longest, so the report without it was written first."""
+    view = view_of(finished)
+    films = write_animation(view, out / "figures", _show_frames(Console()))
+    if not films:
+        print("there is no animation: no robot moved")
+    elif not mp4_is_possible():
+        print("figures/exploration.mp4 is left out: it needs the package av")
+    html.write_report(out / "report.html", view, [*films[:1], *drawn_in(out / "figures")])
+
+
+def _show_frames(console: Console) -> Callable[[Iterable], Iterable]:
+    """A bar on a terminal, one line elsewhere."""
+    if console.is_terminal and not os.environ.get("CI"):
+        return lambda times: track(times, "drawing the animation", console=console, transient=True)
+    print("drawing the animation", flush=True)
+    return lambda times: times
 
 
 def _path(text: str) -> Path:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from coopslam.report.canvas import plain
+from coopslam.report.canvas import GATE, plain
 from coopslam.report.charts import draw_uncertainty, vertex_errors
 from coopslam.report.ellipses import CHI_SQUARE_95, ellipse_axes, magnification
-from coopslam.report.figures import crossing, draw_all, draw_dual_graph, draw_map, draw_trajectories
+from coopslam.report.figures import crossing, draw_all, draw_dual_graph, draw_map, draw_trajectories, drawn_in
 from coopslam.report.run_view import RunView, UncertaintyPoint
 from coopslam.se2 import rotation
 
@@ -75,6 +75,22 @@ def share_of_colour(picture: np.ndarray, colour: str) -> float:
 def test_every_figure_is_written_in_order(drawn):
     assert [path.name for path in drawn] == FIGURES
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in drawn)
+
+
+def test_figures_drawn_before_are_found_in_order(drawn):
+    assert drawn_in(drawn[0].parent) == drawn
+    assert drawn_in(drawn[0].parent / "elsewhere") == []
+
+
+def test_open_gates_have_one_colour_in_all_figures():
+    for figure in (draw_map(strip_view(12, open_gates=True)), draw_dual_graph(strip_view(12, open_gates=True))):
+        labels = {
+            text.get_text(): line
+            for legend in figure.legends
+            for text, line in zip(legend.get_texts(), legend.legend_handles, strict=True)
+        }
+        (gate,) = [line for label, line in labels.items() if "open" in label]
+        assert gate.get_color() == GATE
 
 
 def test_figures_are_not_blank(drawn):

@@ -104,6 +104,16 @@ def test_every_figure_is_inside_the_file(tmp_path, figures):
     assert all(image["alt"] for image in images)
 
 
+def test_a_film_is_inside_the_file_and_can_be_played(tmp_path):
+    film = tmp_path / "exploration.mp4"
+    film.write_bytes(b"not really a film")
+    page = report(tmp_path, small_view(), [film])
+    (video,) = page.all("video")
+    assert base64.b64decode(video["src"].removeprefix("data:video/mp4;base64,")) == film.read_bytes()
+    assert "controls" in video and video["aria-label"] == "The exploration as a film"
+    assert page.all("img") == []
+
+
 def test_nothing_is_fetched_from_elsewhere(tmp_path, figures):
     page = report(tmp_path, small_view(), figures)
     links = [attrs[key] for _, attrs in page.tags for key in ("src", "href", "action", "data") if key in attrs]

@@ -3,6 +3,7 @@
 Colours are those of Okabe and Ito, told apart by all common kinds of colour vision. Grey is solid, white is free.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,9 @@ from coopslam.report.run_view import RunView
 BLUE, ORANGE, VERMILLION, GREEN, PURPLE, SKY = "#0072B2", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#56B4E9"
 SOLID, FREE, MAPPED = "#dcdcdc", "#ffffff", "#eaf2f8"  # obstacles and the outside; free space; found free space
 INK, MUTED, TRUE_WALL, DIAGONAL = "#222222", "#707070", "#9a9a9a", "#93a8b8"
-ROBOTS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+ROBOTS = (BLUE, VERMILLION, SKY, PURPLE, ORANGE, GREEN)
+GATE, GRAPH, CONTACT = GREEN, PURPLE, ORANGE  # open gates; the dual graph; the line of visual contact
+GATE_DASHES = (0, (3, 1.5))
 
 LABELLED_AT_MOST = 60  # vertices or triangles; more ids than that would cover the picture
 DENSE = 200  # vertices; beyond this figures are drawn with more pixels
@@ -53,34 +56,48 @@ def extent(view: RunView) -> tuple[np.ndarray, np.ndarray]:
 
 
 def plan_figure(
-    title: str, limits: tuple[np.ndarray, np.ndarray], panels: int = 1, beside_in: float = 0.0
+    title: str,
+    limits: tuple[np.ndarray, np.ndarray],
+    panels: int = 1,
+    beside_in: float = 0.0,
+    width_in: float = WIDTH_IN,
 ) -> tuple[Figure, list[Axes]]:
     """A figure of the world's shape with equal, labelled axes in metres; `panels` of them side by side or stacked.
 
     limits: lower and upper corner of the picture.  beside_in: width to leave for a colour bar, inches.
     """
-    low, high = (np.array(corner, dtype=float) for corner in limits)
-    spare = np.maximum((high - low).max() / SLIMMEST - (high - low), 0.0) / 2  # a long corridor gets some surroundings
-    low, high = low - spare, high + spare
+    low, high = with_surroundings(*limits)
     width, height = high - low
     columns = 1 if panels == 1 or width > 1.6 * height else 2
     rows = -(-panels // columns)
-    panel_width = (WIDTH_IN - 0.55 - beside_in) / columns - 0.1
-    panel_height = min(panel_width * height / width, TALLEST_IN)
-    headings_in = 0.25 * (rows - 1)
-    figure = Figure(figsize=(WIDTH_IN, panel_height * rows + headings_in + 1.35), layout="constrained")
-    figure.suptitle(title, fontsize=TITLE_PT + 1)
+    panel_width = (width_in - 0.55 - beside_in) / columns - 0.1
+    panel_height = min(panel_width * height / width, TALLEST_IN * width_in / WIDTH_IN)
+    headings_in = 0.25 * (rows - 1) - (0 if title else 0.3)
+    figure = Figure(figsize=(width_in, panel_height * rows + headings_in + 1.35), layout="constrained")
+    if title:
+        figure.suptitle(title, fontsize=TITLE_PT + 1)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for unused in grid.flat[panels:]:
         unused.remove()
     for axes in grid.flat[:panels]:
-        axes.set_facecolor(SOLID)
-        axes.set_aspect("equal")
-        axes.set_xlim(low[0], high[0])
-        axes.set_ylim(low[1], high[1])
-        tidy(axes, "x (m)", "y (m)")
+        plan_axes(axes, low, high)
         axes.label_outer()
     return figure, list(grid.flat[:panels])
+
+
+def with_surroundings(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Limits that leave a long corridor some room across."""
+    spare = np.maximum((high - low).max() / SLIMMEST - (high - low), 0.0) / 2
+    return low - spare, high + spare
+
+
+def plan_axes(axes: Axes, low: np.ndarray, high: np.ndarray) -> None:
+    """Axes for a floor plan: grey, equal, in metres."""
+    axes.set_facecolor(SOLID)
+    axes.set_aspect("equal")
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    tidy(axes, "x (m)", "y (m)")
 
 
 def tidy(axes: Axes, x: str, y: str, title: str = "") -> None:
@@ -122,15 +139,18 @@ def draw_floor(axes: Axes, view: RunView, outline: bool = True) -> None:
         axes.add_patch(Polygon(hole, facecolor=SOLID, edgecolor=edge, linewidth=width, zorder=1.2, joinstyle="round"))
 
 
-def draw_triangles(axes: Axes, view: RunView, face: str, edge: str = "face", width: float = 0.5) -> None:
-    """All triangles found."""
-    corners = [[view.vertices[v] for v in triangle] for triangle in view.triangles.values()]
+def draw_triangles(
+    axes: Axes, view: RunView, face: str, edge: str = "face", width: float = 0.5, only: Iterable[int] | None = None
+) -> None:
+    """All triangles found, or `only` those with certain ids."""
+    shown = view.triangles if only is None else [t for t in only if t in view.triangles]
+    corners = [[view.vertices[v] for v in view.triangles[t]] for t in shown]
     axes.add_collection(PolyCollection(corners, facecolors=face, edgecolors=edge, linewidths=width, zorder=1))
 
 
 def draw_edges(axes: Axes, view: RunView, edges: list[tuple[int, int]], **style) -> None:
     """Straight lines between mapped vertices."""
-    lines = [[view.vertices[a], view.vertices[b]] for a, b in edges]
+    lines = [[view.vertices[a], view.vertices[b]] for a, b in edges if a in view.vertices and b in view.vertices]
     axes.add_collection(LineCollection(lines, capstyle=style.pop("capstyle", "round"), **style))
 
 

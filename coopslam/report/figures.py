@@ -25,6 +25,7 @@ PATH_STYLES = {
     "causal": ("as known at each moment (causal)", {"color": ORANGE, "linewidth": 2.4, "zorder": 4}),
     "smoothed": ("smoothed", {"color": BLUE, "linewidth": 1.0, "zorder": 5}),
 }
+IN_ORDER = ("map", "trajectories", "dual_graph", "uncertainty", "vertex_errors")  # of a report
 ROOM_FOR_DRIFT = 0.12  # of the world's size on each side, for odometry that leaves the world
 
 
@@ -47,6 +48,11 @@ def draw_all(view: RunView, directory: Path) -> list[Path]:
     return paths
 
 
+def drawn_in(directory: Path) -> list[Path]:
+    """The figures that `draw_all` wrote into a directory, in the order of a report."""
+    return [path for name in IN_ORDER if (path := directory / f"{name}.png").exists()]
+
+
 def draw_map(view: RunView) -> Figure:
     """Mapped walls and vertices with 95 % ellipses over the true world; errors are magnified like the ellipses."""
     sizes = Sizes.for_count(len(view.vertices))
@@ -55,12 +61,12 @@ def draw_map(view: RunView) -> Figure:
     if view.true_rings:
         canvas.draw_triangles(axes, view, canvas.MAPPED)
     wall = {"colors": INK, "linewidths": sizes.wall, "zorder": 4}
-    gate = {"colors": VERMILLION, "linewidths": 1.2 * sizes.wall, "linestyles": [(0, (3, 1.5))], "zorder": 5}
+    gate = {"colors": canvas.GATE, "linewidths": 1.2 * sizes.wall, "linestyles": [canvas.GATE_DASHES], "zorder": 5}
     canvas.draw_edges(axes, view, view.walls, **wall)
     canvas.draw_edges(axes, view, view.gates, capstyle="butt", **gate)
     handles = [Line2D([], [], color=INK, lw=sizes.wall, label="mapped wall")]
     if view.gates:
-        handles.append(Line2D([], [], color=VERMILLION, lw=sizes.wall, ls=(0, (3, 1.5)), label="open gate"))
+        handles.append(Line2D([], [], color=canvas.GATE, lw=sizes.wall, ls=canvas.GATE_DASHES, label="open gate"))
     handles += _draw_vertices(axes, view, sizes)
     if view.true_rings:
         handles.insert(1, Line2D([], [], color=canvas.TRUE_WALL, lw=1.7 * sizes.wall, label="true wall"))
@@ -186,7 +192,13 @@ def draw_dual_graph(view: RunView) -> Figure:
     canvas.draw_triangles(axes, view, canvas.MAPPED, canvas.DIAGONAL, sizes.thin)
     canvas.draw_edges(axes, view, view.walls, colors=INK, linewidths=1.2 * sizes.wall, zorder=3)
     canvas.draw_edges(
-        axes, view, view.gates, colors=BLUE, linewidths=1.2 * sizes.wall, linestyles=[(0, (3, 1.5))], zorder=4
+        axes,
+        view,
+        view.gates,
+        colors=canvas.GATE,
+        linewidths=1.2 * sizes.wall,
+        linestyles=[canvas.GATE_DASHES],
+        zorder=4,
     )
     graph = view.dual_graph
     nodes = list(graph.nodes)
@@ -199,14 +211,14 @@ def draw_dual_graph(view: RunView) -> Figure:
     if links:
         share = np.array(widths) / max(float(np.quantile(widths, 0.95)), 1e-9)
         line_widths = sizes.wall * (0.35 + 1.9 * np.minimum(share, 1.0))
-        axes.add_collection(LineCollection(links, colors=VERMILLION, linewidths=line_widths, alpha=0.75, zorder=5))
+        axes.add_collection(LineCollection(links, colors=canvas.GRAPH, linewidths=line_widths, zorder=5))
     handles = [
         Line2D([], [], color=INK, lw=1.2 * sizes.wall, label="wall"),
         Line2D([], [], color=canvas.DIAGONAL, lw=1.5 * sizes.thin, label="diagonal (gate)"),
-        Line2D([], [], color=VERMILLION, lw=1.6 * sizes.wall, alpha=0.75, label="edge; thicker: wider gate"),
+        Line2D([], [], color=canvas.GRAPH, lw=1.6 * sizes.wall, label="edge; thicker: wider gate"),
     ]
     if view.gates:
-        handles.append(Line2D([], [], color=BLUE, lw=sizes.wall, ls=(0, (3, 1.5)), label="gate still open"))
+        handles.append(Line2D([], [], color=canvas.GATE, lw=sizes.wall, ls=canvas.GATE_DASHES, label="gate still open"))
     if nodes:
         _draw_nodes(figure, axes, view, np.array(list(centroid.values())), sizes)
     canvas.legend_below(figure, handles)

@@ -116,7 +116,7 @@ def _figure(path: Path) -> str:
     media = mimetypes.guess_type(path.name)[0] or "image/png"
     data = f"data:{media};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
     if media.startswith("video/"):
-        picture = f'<video controls src="{data}"></video>'
+        picture = f'<video controls loop muted playsinline aria-label="{escape(title)}" src="{data}"></video>'
     else:
         picture = f'<img src="{data}" alt="{escape(title)}">'
     return (

@@ -1,6 +1,14 @@
 """What the report says in words, and how it looks: captions, explanations, style sheet."""
 
 CAPTIONS = {
+    "exploration": (
+        "The exploration as a film",
+        "A time lapse; time, triangles and role exchanges are counted on top. The mover is a filled circle, the robot "
+        "that stands as a landmark an empty square, and the line between them is their visual contact: it sweeps the "
+        "triangles, the newest of which is darkest. Dashed lines are open gates. Robots are drawn where the smoothed "
+        "estimate has them, with their 95 % ellipses enlarged as the legend says; the faint circles "
+        "are where odometry alone would put them.",
+    ),
     "map": (
         "The map",
         "Black lines are the walls as mapped, grey ones the true walls where the truth is known; obstacles and the "
