@@ -31,7 +31,7 @@ from coopslam.io.run_log import RunLogWriter
 from coopslam.io.toml import dump_toml, to_mapping
 from coopslam.planning.dual_graph import dual_graph
 from coopslam.planning.recorded_odometry import RecordedOdometry
-from coopslam.records import CornerDecision, LogHeader, MoveNote, Record
+from coopslam.records import CornerDecision, LogHeader, MoveNote, Record, RelativePoseFix
 from coopslam.report import figures, html
 from coopslam.report.run_directory import (
     write_json,
@@ -45,6 +45,7 @@ from sim.world import World, load_world, world_names
 DRIVERS = {"incremental": Incremental, "batch": Batch}
 WORST_CHI_SQUARE = 25.0  # per degree of freedom; 1 expected. Beyond, the estimate contradicts the records
 ENOUGH_DOF = 50  # for that to be no chance
+MOST_FALSE = 0.5  # of all sightings; beyond, there is no saying which half is true
 T = TypeVar("T")
 
 
@@ -214,16 +215,24 @@ def _smooth(run: Exploration, records: list[Record]) -> None:
     reckoner = DeadReckoning(robots)
     run.dead_reckoning = run.left_out.attempt("estimators.dead-reckoning", reckoner.update, records)
     run.seconds |= {"dead-reckoning": reckoner.timing, run.settings.estimator: driver.timing}
-    if run.solution is None:
-        doubt = f"the final estimate failed: {run.left_out['estimators.batch']}"
-    else:
+    if run.solution is not None:
         run.batch = BatchEstimate(driver.timeline, run.graph, run.solution.values)
-        squares, dof = chi_square(run.graph, run.solution.values)
-        if dof < ENOUGH_DOF or squares <= WORST_CHI_SQUARE * dof:
-            return
-        doubt = f"the estimate does not explain the records (chi-square per degree of freedom: {squares / dof:.3g})"
-    if mission.outcome == "complete" or (mission.outcome == "budget" and run.solution is not None):
+    doubt = _doubt(run)
+    if doubt and (mission.outcome == "complete" or (mission.outcome == "budget" and run.solution is not None)):
         mission.outcome, mission.reason = "stuck", doubt
+
+
+def _doubt(run: Exploration) -> str:
+    """Why the final estimate cannot be believed; empty when it can."""
+    if run.solution is None:
+        return f"the final estimate failed: {run.left_out['estimators.batch']}"
+    squares, dof = chi_square(run.graph, run.solution.values)
+    if dof >= ENOUGH_DOF and squares > WORST_CHI_SQUARE * dof:
+        return f"the estimate does not explain the records (chi-square per degree of freedom: {squares / dof:.3g})"
+    false, fixes = len(run.solution.outliers), sum(isinstance(record, RelativePoseFix) for record in run.records)
+    if fixes >= ENOUGH_DOF and false > MOST_FALSE * fixes:
+        return f"{false} of {fixes} sightings of robots by robots look false"
+    return ""
 
 
 def _dual_graph(run: Exploration) -> nx.Graph:
