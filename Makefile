@@ -10,7 +10,7 @@ VENV := .venv
 READY := $(VENV)/.ready
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check
 
-.PHONY: explore test lint clean
+.PHONY: explore test lint cluster clean
 .DELETE_ON_ERROR:
 
 explore: $(READY)
@@ -22,6 +22,11 @@ test: $(READY)
 lint: $(READY)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
+
+# Dask, for scripts/sweep.py --dask and for the workers that it uses.
+cluster: $(READY)
+	$(PIP) install --quiet --no-deps -r requirements-cluster.lock
+	$(PIP) check
 
 # The stamp is written last, and the environment is built anew from nothing: an interrupted set-up starts over.
 $(READY): requirements.lock pyproject.toml

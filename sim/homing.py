@@ -59,7 +59,7 @@ def way_to_corner(sight: Sight, start: Waypoint, aim: np.ndarray, reach_m: float
 def best_corner(
     sight: Sight, here: np.ndarray, expected: Pose2, angle_rad: float, reach_m: float, look: Callable
 ) -> int | None:
-    """The visible corner within reach of (2,) `here` that looks most like the expected one.
+    """The visible corner within reach of (2,) `here` and of the expected place that looks most like the expected one.
 
     expected: the oriented corner in the world, where the robot believes it.  angle_rad: its interior angle.
     look: corner -> (oriented corner in the world, interior angle) as the finder measures them.
@@ -70,6 +70,8 @@ def best_corner(
             continue
         seen, seen_angle = look(int(corner))
         offset = seen.range(expected.translation()) / reach_m
+        if offset > 1:
+            continue
         turned = wrap(seen.theta() - expected.theta())
         score = offset**2 + turned**2 + (seen_angle - angle_rad) ** 2
         if score < best_score:

@@ -142,6 +142,7 @@ class Team:
         step = self._drive_along(move, way)
         if step.ended == MoveEnd.CONTACT and move.keep_contact:
             step = _joined(step, self._sidestep(move, aim))
+            shortened = float(np.hypot(*(aim - body.position))) > reach
         if step.ended != MoveEnd.NOTHING:
             return step
         if shortened:

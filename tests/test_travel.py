@@ -10,7 +10,7 @@ from random_worlds import random_world
 from test_free_map import grown
 
 from coopslam.exploration.free_map import FreeMap
-from coopslam.exploration.travel import CLEARANCE_RAD, reachable_gates, route_to_gate
+from coopslam.exploration.travel import CLEARANCE_M, CLEARANCE_RAD, reachable_gates, route_to_gate
 
 
 def state(u: int, v: int) -> tuple[int, int]:
@@ -26,24 +26,26 @@ def runs_of_triangles(free_map: FreeMap, stander: int) -> list[list[int]]:
     return [run for run in runs if len(run) > 1]
 
 
-def is_straight_way(run: list[int], stander: int, start: int, end: int, points: np.ndarray) -> bool:
-    """Whether a robot comes straight from start to end inside of a run of triangles.
+def is_clear(corner: int, start: int, end: int, points: np.ndarray) -> bool:
+    """Whether the straight line through start and end keeps away from a corner."""
+    ahead = 1e3 * (points[end] - points[start])
+    gap = shapely.distance(
+        shapely.LineString([points[start] - ahead, points[end] + ahead]), shapely.Point(points[corner])
+    )
+    return gap > max(CLEARANCE_M, np.sin(CLEARANCE_RAD) * np.hypot(*(points[corner] - points[start])))
 
-    Clear of the corners passed, and not through the robot that stands.
-    """
+
+def is_straight_way(run: list[int], stander: int, start: int, end: int, points: np.ndarray) -> bool:
+    """Whether a robot comes straight from start to end inside of a run of triangles, clear of all corners beside it."""
     i, j = sorted((run.index(start), run.index(end)))
+    way = shapely.LineString(points[[start, end]])
     if j == i + 1:
-        return True
-    way = points[end] - points[start]
-    if shapely.distance(shapely.LineString(points[[start, end]]), shapely.Point(points[stander])) < 1e-9:
+        foot = shapely.line_locate_point(way, shapely.Point(points[stander]))
+        return not 0 < foot < way.length or is_clear(stander, start, end, points)
+    if not all(is_clear(corner, start, end, points) for corner in [stander, *run[i + 1 : j]]):
         return False
-    for passed in run[i + 1 : j]:
-        arm = points[passed] - points[start]
-        angle = np.arctan2(way[0] * arm[1] - way[1] * arm[0], way @ arm)
-        if abs(angle) <= CLEARANCE_RAD:
-            return False
     triangles = shapely.polygons([points[[stander, u, v]] for u, v in pairwise(run[i : j + 1])])
-    return shapely.union_all(triangles).buffer(1e-9).covers(shapely.LineString(points[[start, end]]))
+    return shapely.union_all(triangles).buffer(1e-9).covers(way)
 
 
 def states(free_map: FreeMap, points: np.ndarray) -> nx.DiGraph:
@@ -53,6 +55,9 @@ def states(free_map: FreeMap, points: np.ndarray) -> nx.DiGraph:
         for other in {spoke for spoke in fan.spokes if spoke is not None}:
             graph.add_edge(
                 (stander, stander), state(stander, other), weight=np.hypot(*(points[other] - points[stander]))
+            )
+            graph.add_edge(
+                state(stander, other), (stander, stander), weight=np.hypot(*(points[other] - points[stander]))
             )
         for run in runs_of_triangles(free_map, stander):
             for start, end in permutations(run, 2):

@@ -15,6 +15,7 @@ import numpy as np
 from coopslam.exploration.free_map import FreeMap
 
 CLEARANCE_RAD = 0.05  # by which a way across several triangles passes the corners beyond it, seen from its start
+CLEARANCE_M = 0.3  # and by which it passes them at least: the map is not exact
 Positions = Callable[[int], np.ndarray]  # vertex -> (2,) m
 
 
@@ -72,28 +73,31 @@ def reachable_gates(free_map: FreeMap, at: tuple[int, int], positions: Positions
 
 
 def crossings_from(free_map: FreeMap, edge: tuple[int, int], positions: Positions) -> list[Crossing]:
-    """What one robot can do while the other stands: go to a vertex that has an edge to the one that stands."""
+    """What one robot can do while the other stands: go to a vertex that has an edge to the one that stands, or to it.
+
+    It goes by way of the other one where the straight way would brush past it.
+    """
     u, v = edge
     if u == v:
         return [Crossing(u, w, u) for w in sorted({w for w in free_map.fans[u].spokes if w is not None})]
-    return [
+    across = [
         Crossing(start, end, stander)
         for start, stander in ((u, v), (v, u))
         for turn in (1, -1)
         for end in _around(free_map, start, stander, turn, positions)
     ]
+    return [*across, Crossing(u, v, v), Crossing(v, u, u)]
 
 
 def _around(free_map: FreeMap, start: int, stander: int, turn: int, positions: Positions) -> Iterator[int]:
     """Ends of straight ways about a standing robot, counter-clockwise (turn 1) or clockwise (-1), over free triangles.
 
-    The next vertex is always one. The vertices passed must lie beyond the way, clear of it: of them all, the
-    direction of the one nearest to the standing robot, seen from the start, is kept.
+    The vertices passed must lie beyond the way, the standing robot on this side of it, all clear of it.
     """
     fan = free_map.fans[stander]
     for k in (k for k, spoke in enumerate(fan.spokes) if spoke == start):
         x, y = positions(start)
-        nearest = None
+        passed: list[tuple[float, float]] = []
         while True:
             sector = k if turn == 1 else k - 1
             if not 0 <= sector < len(fan.sectors) or fan.sectors[sector] is None:
@@ -101,18 +105,20 @@ def _around(free_map: FreeMap, start: int, stander: int, turn: int, positions: P
             k += turn
             end = positions(fan.spokes[k])
             way = (end[0] - x, end[1] - y)
-            if nearest is None:
-                yield fan.spokes[k]
-                nearest = way
-                continue
             to_stander = (positions(stander)[0] - x, positions(stander)[1] - y)
-            if turn * _cross(way, to_stander) <= 0:
+            clear = _is_clear(to_stander, way, -turn)
+            if passed and not clear:
                 break  # further on, half a turn about the standing robot is full
-            clear = turn * _cross(nearest, way)
-            if clear > sin(CLEARANCE_RAD) * hypot(*nearest) * hypot(*way) and fan.spokes[k] != start:
+            beside = 0 < way[0] * to_stander[0] + way[1] * to_stander[1] < hypot(*way) ** 2
+            if (clear or not beside) and fan.spokes[k] != start and all(_is_clear(c, way, turn) for c in passed):
                 yield fan.spokes[k]
-            if clear > 0:
-                nearest = way
+            passed.append(way)
+
+
+def _is_clear(corner: tuple[float, float], way: tuple[float, float], turn: int) -> bool:
+    """Whether a corner lies far enough beside a way (to its right with turn 1), both seen from its start, m."""
+    least = max(sin(CLEARANCE_RAD) * hypot(*corner), CLEARANCE_M)
+    return turn * _cross(corner, way) > least * hypot(*way)
 
 
 class _Places(dict):

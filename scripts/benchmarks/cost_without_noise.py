@@ -17,7 +17,7 @@ import numpy as np
 sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
 
 from _exploration import ExplorationSettings, explore, prepare
-from seeds_with_noise import is_success
+from _study import is_success
 
 from sim.world import load_world, world_names
 

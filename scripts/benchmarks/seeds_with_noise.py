@@ -16,6 +16,7 @@ import numpy as np
 sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
 
 from _exploration import ExplorationSettings, explore, prepare
+from _study import is_success
 
 from coopslam.evaluation.consistency import chi_square_band
 
@@ -57,17 +58,6 @@ def _report(world: str, summaries: list[dict]) -> None:
     _band("pose NEES", [s["estimators"]["batch"]["nees_mean"] for s in good], 3)
     ratio = np.sqrt(np.mean([s["estimators"]["batch"]["crlb_ratio"] ** 2 for s in good]))
     print(f"  {'batch ATE / Cramer-Rao bound':30s} rms over seeds {ratio:.3f}", flush=True)
-
-
-def is_success(summary: dict) -> bool:
-    """A complete exploration whose map is a triangulation of the true world."""
-    return (
-        summary["outcome"] == "complete"
-        and summary["true_triangulation"]
-        and summary["triangles"] == summary["triangles_expected"]
-        and summary["covered_fraction"] >= 1 - 1e-6
-        and summary["overlap_fraction"] <= 1e-6
-    )
 
 
 def _row(name: str, values: list[float]) -> None:
