@@ -162,10 +162,13 @@ class Team:
             return Step(self.time_s, (), MoveEnd.CONTACT)
         outward = line / length
         metres = max(float((aim - body.position) @ outward), -length)
-        if metres > 0:
-            obstacle = self.sight.first_obstacle(body.position, outward)
-            metres = min(metres, obstacle.distance_m) if obstacle else metres
-        return self._drive(move, body.position + metres * outward, MoveEnd.NOTHING)
+        obstacle = self.sight.first_obstacle(body.position, outward) if metres > 0 else None
+        if obstacle is None or obstacle.distance_m > metres:
+            return self._drive(move, body.position + metres * outward, MoveEnd.NOTHING)
+        if obstacle.distance_m == 0.0:
+            return Step(self.time_s, (), MoveEnd.NOTHING)
+        there = body.position + obstacle.distance_m * outward
+        return self._drive(move, there, MoveEnd.NOTHING, obstacle.corner, obstacle.wall)
 
     def _drive_along(self, move, way: list[Waypoint]) -> Step:
         """Drive a way, stretch by stretch; ended NOTHING when all of it was driven."""

@@ -10,9 +10,10 @@ import pytest
 import shapely
 from explorations import Run, require_complete, run
 from monte_carlo import require_covariance
+from scipy.sparse import csr_array
 
 from coopslam.planning.dual_graph import dual_graph, signed_area_m2
-from coopslam.planning.recorded_odometry import Leg, RecordedOdometry, SlipByTriangle
+from coopslam.planning.recorded_odometry import RecordedOdometry, Squares, local_variances
 from sim.noise import TYPICAL, Noise
 
 SAMPLES = 20_000
@@ -117,12 +118,13 @@ def test_uncertainties_of_edges_against_sampling(name):
 
 
 def test_no_ground_is_without_slip():
-    """Legs that by chance add up to less than zero give a quarter of the mean, not zero."""
-    good, lucky = (Leg((0.0, 0.0), excess, 1.0, 1.0) for excess in (0.02, -0.01))
-    slips = SlipByTriangle({0: [lucky] * 50, 1: [good]}, [good] * 100 + [lucky] * 50)
-    mean = np.sqrt(0.01)
-    assert slips.pooled([0]) == pytest.approx(mean / 4) and slips.pooled([1]) > mean
-    assert slips.pooled([2]) == pytest.approx(mean)
+    """Squares that by chance add up to less than zero give a quarter of the mean sigma, not zero."""
+    good, lucky = 0.02, -0.01
+    squares = Squares(np.repeat([good, lucky], [300, 150]), np.ones(450), np.zeros(450))  # mean 0.01; 150 legs
+    shares = csr_array(np.kron([[1, 0, 0], [0, 0, 1], [0, 0, 0]], np.ones(50)))
+    s2, information = local_variances(squares, shares, csr_array(np.eye(3)).tocoo())
+    assert s2[0] == pytest.approx(good, rel=0.02) and s2[1] == pytest.approx(0.01 / 16)
+    assert s2[2] == pytest.approx(0.01) and information[0] > 100 * information[2]
 
 
 def test_a_triangle_that_runs_clockwise_has_a_negative_area():
@@ -130,24 +132,22 @@ def test_a_triangle_that_runs_clockwise_has_a_negative_area():
 
 
 def slip(seed: int, belief: float, true: Noise) -> tuple[float, float]:
-    """Sums over the legs of one run: weighted excess variance and weighted metres."""
-    odometry = true.odometry
-    believed = replace(
-        TYPICAL, odometry=replace(TYPICAL.odometry, translation_sigma_m=belief * odometry.translation_sigma_m)
-    )
+    """Sums over the legs of one run: excess variance of the distance driven, m^2 per m, and its gain."""
+    sigma = belief * true.odometry.translation_sigma_m
+    believed = replace(TYPICAL, odometry=replace(TYPICAL.odometry, translation_sigma_m=sigma))
     done = run("paper_two_occluders", seed=seed, true=true, believed=believed)
-    smoothed = done.smoothed()
-    legs = RecordedOdometry(done.driver.graph, smoothed).legs
-    return sum(leg.weight * leg.excess_m2 for leg in legs), sum(leg.weight * leg.distance_m for leg in legs)
+    odometry = RecordedOdometry(done.driver.graph, done.smoothed())
+    excess, gain = odometry.evidence(np.ones(len(odometry.legs))).ahead.sums(1.0)
+    return sigma**2 * excess.sum(), gain.sum()
 
 
 @pytest.mark.parametrize("belief", [0.5, 1.0, 2.0])
 def test_recorded_odometry_is_unbiased_whatever_was_believed(belief):
     """Variance per metre pooled over 20 seeds, within four standard errors that the seeds' own scatter gives."""
     sigma = TYPICAL.odometry.translation_sigma_m
-    excess, metres = np.array([slip(seed, belief, TYPICAL) for seed in range(20)]).T
-    pooled = excess.sum() / metres.sum()
-    spread = np.std(excess - pooled * metres) * np.sqrt(20) / metres.sum()
+    excess, gain = np.array([slip(seed, belief, TYPICAL) for seed in range(20)]).T
+    pooled = excess.sum() / gain.sum()
+    spread = np.std(excess - pooled * gain) * np.sqrt(20) / gain.sum()
     assert spread < 0.2 * sigma**2  # sharp enough to tell the truth from half and double
     assert abs(pooled - sigma**2) < 4 * spread
 

@@ -23,7 +23,8 @@ def dual_graph(free_map: FreeMap, estimate: Estimate, odometry: RecordedOdometry
     Node: vertices, centroid [x, y], area_m2 (not negative), vertex_covariance (6x6, x and y of the three vertices in
     turn), position_covariance (2x2, of the centroid), position_sigma_m. Edge: gate [a, b], width_m, width_sigma_m,
     length_m (between centroids), relative_sigma_m (of one centroid seen from the other, in the axes of the gate),
-    odometry_sigma_per_m (odometry error recorded in both triangles, m per sqrt(m)).
+    odometry_sigma_per_m (odometry error recorded in both triangles, m per sqrt(m)), odometry_legs (how many perfectly
+    measured legs would tell as much of it as what was driven there and around on the same ground).
     """
     graph = nx.Graph()
     places = {vertex: position(estimate.vertex(vertex)) for vertex in free_map.fans}
@@ -32,7 +33,8 @@ def dual_graph(free_map: FreeMap, estimate: Estimate, odometry: RecordedOdometry
     errors = odometry.by_triangle(free_map, places)
     for one, other, (a, b) in sorted(free_map.adjacent_triangles()):
         attributes = _edge(free_map.triangles[one], free_map.triangles[other], (a, b), places, estimate)
-        attributes["odometry_sigma_per_m"] = float(errors.pooled([one, other]))
+        attributes["odometry_sigma_per_m"] = errors.pooled([one, other])
+        attributes["odometry_legs"] = errors.legs([one, other])
         graph.add_edge(one, other, **attributes)
     return graph
 
