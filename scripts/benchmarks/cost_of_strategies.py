@@ -22,6 +22,7 @@ from coopslam.evaluation.lower_bound import corners_bound_m, walls_bound_m
 from coopslam.exploration.explorer import ExplorerSettings
 from coopslam.exploration.strategies import STRATEGIES
 from coopslam.records import CornerDecision, MoveNote
+from coopslam.report.cost_figure import draw_cost
 from sim.world import world_names
 
 BACK_TO_A_CORNER = ("end of a known wall", "found where it should be")  # evidence after a move of the travel
@@ -47,7 +48,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=1, help="default: %(default)s")
     parser.add_argument("--noise", default="none", choices=["none", "typical", "legged"])
     parser.add_argument("--processes", type=int, default=2, help="default: %(default)s")
-    parser.add_argument("--out", type=Path, help="CSV with a row per run")
+    parser.add_argument("--out", type=Path, help="CSV with a row per run; a picture beside it")
     options = parser.parse_args()
     worlds = options.worlds or world_names()
     jobs = [
@@ -66,6 +67,8 @@ def main() -> int:
     good = [row for row in rows if row["success"]]
     _print_table(rows, options.strategies)
     _print_fit(good)
+    if options.out and good:
+        draw_cost(good, options.out.with_suffix(".png"))
     return len(good) < len(rows)
 
 

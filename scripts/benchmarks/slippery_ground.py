@@ -76,10 +76,9 @@ def _sides(run: Exploration) -> tuple[list[float], list[float]]:
     inside, outside = set(), set()
     for triangle, vertices in run.dual_graph.nodes(data="vertices"):
         area = shapely.Polygon([places[vertex] for vertex in vertices])
-        covered_m2 = area.intersection(ground).area
-        if covered_m2 > area.area - SLIVER_M2:
+        if ground.covers(area):  # also one without an area, between corners on a line
             inside.add(triangle)
-        elif covered_m2 < SLIVER_M2:
+        elif area.intersection(ground).area < SLIVER_M2:
             outside.add(triangle)
     edges = list(run.dual_graph.edges(data="odometry_sigma_per_m"))
     return tuple([sigma for one, other, sigma in edges if {one, other} <= side] for side in (inside, outside))
