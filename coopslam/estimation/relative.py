@@ -82,6 +82,13 @@ def predicted(estimate: Estimate, key_a: int, key_b: int) -> RelativeBelief:
     return RelativeBelief(T_a_b, relative_covariance(T_a_b, estimate.joint_covariance([key_a, key_b])))
 
 
+def relative_now(estimate: Estimate, robot: str, vertex: int) -> RelativeBelief:
+    """A map vertex in the frame of a robot now: its latest variable, and what it has driven since."""
+    belief = predicted(estimate, estimate.pose_key(robot), estimate.vertex_key(vertex))
+    track = estimate.timeline.tracks[robot]
+    return belief.after_a(track.T_last_now, track.cov_now) if track.moved else belief
+
+
 def predicted_now(estimate: Estimate, a: str, b: str) -> RelativeBelief:
     """Robot b in the frame of robot a now: latest variables, and what both have driven since."""
     belief = predicted(estimate, estimate.pose_key(a), estimate.pose_key(b))

@@ -6,8 +6,9 @@ import numpy as np
 
 from coopslam.errors import require_positive
 from coopslam.estimation.estimate import Estimate
+from coopslam.estimation.relative import relative_now
 from coopslam.exploration.free_map import Boundary, FreeMap, Sector
-from coopslam.se2 import Pose2, adjoint, largest_sigma, position, rotation
+from coopslam.se2 import Pose2, largest_sigma, position, rotation
 
 STRAIGHT_RAD = 1e-6  # angles closer than this are one direction, however good the sensors
 SAME_PLACE_M = 1e-6
@@ -118,11 +119,9 @@ class Chart:
 
     def relative_covariance(self, robot: str, vertex: int) -> np.ndarray:
         """(2, 2) covariance of a vertex's position relative to a robot, axes of the map, m^2."""
-        there = self.robot(robot).between(self.vertex(vertex))
-        jacobian = np.hstack([-adjoint(there.inverse()), np.eye(3)])
-        joint = self.estimate.joint_covariance([self.estimate.pose_key(robot), self.estimate.vertex_key(vertex)])
+        cov = relative_now(self.estimate, robot, vertex).cov_b
         turn = rotation(self.vertex(vertex).theta())
-        return turn @ (jacobian @ joint @ jacobian.T)[:2, :2] @ turn.T
+        return turn @ cov[:2, :2] @ turn.T
 
     def relative_sigma(self, robot: str, vertex: int) -> float:
         """Largest sigma of a vertex's position relative to a robot, m."""

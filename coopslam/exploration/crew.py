@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from coopslam.exploration.account import Stuck
 from coopslam.exploration.chart import SAME_PLACE_M, Chart
 from coopslam.exploration.free_map import FreeMap
-from coopslam.exploration.moves import Step
+from coopslam.exploration.moves import FollowWall, MoveEnd, Step
 from coopslam.exploration.recognition import (
     Match,
     RecognitionSettings,
@@ -41,6 +42,7 @@ class Crew:
     at: dict[str, int] = field(default_factory=dict)  # robot -> vertex
     last_mover: str = ""  # of the pair
     now_s: float = 0.0  # when the last move ended
+    passed: tuple[CornerDecision, ...] = ()  # known corners that were passed on the last move
 
     @property
     def pair(self) -> tuple[str, str]:
@@ -61,9 +63,16 @@ class Crew:
         """Have a move executed; corners that were passed on the way and are known become factors."""
         step = yield move
         self.now_s = step.stamp_s
-        passed = tuple(self._known_again(step)) if self.reobserve else ()
-        if passed:
-            yield Decided(passed)
+        self.passed = tuple(self._known_again(step)) if self.reobserve else ()
+        if self.passed:
+            yield Decided(self.passed)
+        return step
+
+    def follow_to_end(self, move: FollowWall):
+        """Follow a wall that is in plain view; where contact only seems lost, it goes on."""
+        step = yield from self.go(move)
+        while step.ended == MoveEnd.CONTACT and step.moved:
+            step = yield from self.go(move)
         return step
 
     def new_vertex(self, sighting: CornerSighting, evidence: str = "") -> CornerDecision:
@@ -73,11 +82,24 @@ class Crew:
         self.chart.corner_angle_sigma = max(self.chart.corner_angle_sigma, sighting.interior_angle_sigma_rad)
         return CornerDecision(self.now_s, sighting, vertex, True, evidence=evidence)
 
-    def seen_again(self, sighting: CornerSighting, vertex: int, evidence: str) -> CornerDecision:
-        """The robot came back to a vertex, by a way that leaves no doubt or after a test: one more factor."""
+    def seen_again(
+        self, sighting: CornerSighting, vertex: int, evidence: str, runner_up_sq: float | None = None
+    ) -> CornerDecision:
+        """The robot came back to a vertex, by a way that leaves no doubt or after a test: one more factor.
+
+        Raises Stuck when the sighting cannot be of that vertex: then a decision before was wrong.
+        """
         distance_sq = corner_distance_sq(self.chart.estimate, sighting, vertex)
+        limits = self.recognition
+        same_shape = interior_angle_agrees(sighting, self.free_map.interior_angles[vertex], limits.angle_sigmas)
+        if not same_shape or distance_sq > limits.contradiction_sq:
+            raise Stuck(
+                f"{sighting.observer} should stand in vertex {vertex} ({evidence}), but its finder says otherwise "
+                f"(squared distance {distance_sq:.0f}, interior angle {np.degrees(sighting.interior_angle_rad):.1f} "
+                f"instead of {np.degrees(self.free_map.interior_angles[vertex]):.1f} degrees)"
+            )
         self.at[sighting.observer] = vertex
-        return CornerDecision(self.now_s, sighting, vertex, False, distance_sq, None, evidence)
+        return CornerDecision(self.now_s, sighting, vertex, False, distance_sq, runner_up_sq, evidence)
 
     def may_be(self, sighting: CornerSighting, vertex: int) -> bool:
         """Whether a sighting fits a vertex in place, direction and interior angle."""
@@ -93,7 +115,9 @@ class Crew:
         off by the square of sigma / L, with sigma what the finder leaves open of the two corners' places: the short
         walls of a rounded corner say little, and are believed little.
         """
-        here = position(self.chart.robot(sighting.observer) * sighting.T_observer_corner)
+        estimate = self.chart.estimate
+        observer = estimate.value(estimate.pose_key_at(sighting.observer, sighting.stamp_s))
+        here = position(observer * sighting.T_observer_corner)
         length = max(float(np.hypot(*(here - self.chart.position(seen_from)))), SAME_PLACE_M)
         bent = 2 * np.trace(sighting.cov_observer[:2, :2]) / length**2
         return WallDecision(self.now_s, start, end, float(max(STRAIGHTNESS_RAD, bent)))

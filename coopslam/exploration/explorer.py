@@ -87,7 +87,7 @@ class Explorer:
         corner = crew.new_vertex(first.corner)
         self.at[watcher] = corner.vertex
         yield Decided((corner,))
-        step = yield from crew.go(FollowWall(mover, watcher, Side.RIGHT))
+        step = yield from crew.follow_to_end(FollowWall(mover, watcher, Side.RIGHT))
         if step.ended != MoveEnd.CORNER:
             raise Stuck(f"the first wall ended with {step.ended}, not in a corner")
         corner = crew.new_vertex(step.corner)
@@ -96,7 +96,7 @@ class Explorer:
         self.free_map.add_first_wall(start, end)
         yield Decided((corner, crew.wall(step.corner, start, end, seen_from=start)))
         for follower in crew.followers:  # they stand on the first wall
-            step = yield from crew.go(FollowWall(follower, watcher, Side.LEFT))
+            step = yield from crew.follow_to_end(FollowWall(follower, watcher, Side.LEFT))
             if step.ended != MoveEnd.PARTNER:
                 raise Stuck(f"{follower} went back along the first wall and ended with {step.ended}")
             yield Decided((crew.seen_again(step.corner, start, "the first robot stands there"),))
@@ -166,6 +166,8 @@ class Explorer:
                 case MoveEnd.PARTNER if sweep.boundary is not None and target is None:
                     yield from self._close_as_wall(sweep, step)
                     return True
+                case MoveEnd.CONTACT if step.moved:
+                    pass  # contact may only seem lost: going on ends at once where it is
                 case MoveEnd.CONTACT:
                     return (yield from self._return_to_occluder(sweep))
                 case MoveEnd.BEARING:
@@ -197,10 +199,10 @@ class Explorer:
             if step.ended != MoveEnd.CORNER:
                 raise Stuck(f"{sweep.mover} returned along the line of contact and ended with {step.ended}")
             matches = known_corners(self.chart, crew.recognition, step.corner, sweep.gate, leave_out={sweep.pivot})
-            certain = matches and matches[0].log_odds >= crew.recognition.margin_log_odds
-            if not certain or matches[0].sector is not None:
+            touched = crew.surely_known(matches)
+            if touched is None or matches[0].sector is not None:
                 return (yield from self._meet_corner(sweep, step.corner))
-            yield Decided((crew.seen_again(step.corner, matches[0].vertex, "touches the line of contact"),))
+            yield Decided((crew.seen_again(step.corner, touched, "touches the line of contact"),))
 
     def _meet_corner(self, sweep: Sweep, sighting: CornerSighting, walked_wall: bool = False):
         """The mover stands in the apex: decide which vertex that is and add the triangle."""

@@ -8,7 +8,8 @@ from typing import Protocol
 from coopslam.errors import BadInput, BadMove, UnderDetermined
 from coopslam.estimation.estimate import Estimate, Estimator
 from coopslam.exploration.account import Stuck
-from coopslam.exploration.explorer import Decided, Explorer
+from coopslam.exploration.crew import Decided
+from coopslam.exploration.explorer import Explorer
 from coopslam.exploration.free_map import MapConflict
 from coopslam.exploration.moves import Move, Step
 from coopslam.records import MoveNote, Record, RelativePoseFix

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from coopslam.records import CornerSighting, Record
+from coopslam.records import CornerSighting, Odometry, Record
 
 
 class Side(StrEnum):
@@ -81,6 +81,11 @@ class Step:
     records: tuple[Record, ...]
     ended: MoveEnd
     travelled_m: float = 0.0
+
+    @property
+    def moved(self) -> bool:
+        """Whether the robot turned or drove at all."""
+        return any(isinstance(record, Odometry) for record in self.records)
 
     @property
     def corner(self):

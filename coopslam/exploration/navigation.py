@@ -22,27 +22,35 @@ class Navigation:
         self.crew, self.sure_reach_m, self.search_places = crew, sure_reach_m, search_places
 
     def cross(self, mover: str, target: int):
-        """Bring a robot along a known edge to the vertex at its other end, watched by its partner."""
-        yield from self._cross(mover, target, self.crew.partner(mover), alone=False)
+        """Bring a robot over mapped free space to a vertex that its partner sees."""
+        step, evidence = yield from self._way(mover, target, self.crew.partner(mover), alone=False)
+        yield Decided((self.crew.seen_again(step.corner, target, evidence),))
 
     def errand(self, mover: str, target: int, watcher: str):
         """As `cross`, whether the watcher sees it or not; returns how the last move ended."""
-        return (yield from self._cross(mover, target, watcher, alone=True))
-
-    def _cross(self, mover: str, target: int, watcher: str, alone: bool):
-        crew, free_map = self.crew, self.crew.free_map
-        start = crew.at[mover]
-        if free_map.wall_leaving(start) == target:
-            side = Side.RIGHT
-        elif free_map.wall_arriving(start) == target:
-            side = Side.LEFT
-        else:
-            return (yield from self._go_to(mover, target, watcher, alone))
-        step = yield from crew.go(FollowWall(mover, watcher, side, alone=alone))
-        if step.ended not in (MoveEnd.CORNER, MoveEnd.PARTNER):
-            raise Stuck(f"{mover} followed the wall from vertex {start} to {target} and ended with {step.ended}")
-        yield Decided((crew.seen_again(step.corner, target, "end of a known wall"),))
+        step, evidence = yield from self._way(mover, target, watcher, alone=True)
+        yield Decided((self.crew.seen_again(step.corner, target, evidence),))
         return step.ended
+
+    def visit(self, mover: str, target: int, watcher: str):
+        """As `errand`, but nothing is decided of the corner in which it ends: returns the step."""
+        step, _ = yield from self._way(mover, target, watcher, alone=True)
+        return step
+
+    def is_along_wall(self, start: int, end: int) -> bool:
+        """Whether the way between two vertices is a known wall, on which nobody can go astray."""
+        return end in (self.crew.free_map.wall_leaving(start), self.crew.free_map.wall_arriving(start))
+
+    def _way(self, mover: str, target: int, watcher: str, alone: bool):
+        """(the step that ended in the vertex, by which evidence it did)."""
+        start = self.crew.at[mover]
+        if not self.is_along_wall(start, target):
+            return (yield from self._go_to(mover, target, watcher, alone)), "found where it should be"
+        side = Side.RIGHT if self.crew.free_map.wall_leaving(start) == target else Side.LEFT
+        step = yield from self.crew.follow_to_end(FollowWall(mover, watcher, side, alone=alone))
+        if step.corner is None:
+            raise Stuck(f"{mover} followed the wall from vertex {start} to {target} and ended with {step.ended}")
+        return step, "end of a known wall"
 
     def aim(
         self,
@@ -86,7 +94,7 @@ class Navigation:
         return [axes @ grid[k] for k in likely]
 
     def _go_to(self, mover: str, target: int, watcher: str, alone: bool):
-        """Drive to a known vertex in the open, search for it if need be, and make sure that it is the one."""
+        """Drive to a known vertex in the open and search for it if need be; the step that ended in it."""
         crew = self.crew
         places, search = 0, iter([NOWHERE_ELSE])
         while (offset := next(search, None)) is not None:
@@ -96,21 +104,31 @@ class Navigation:
                     break  # else: watched on the way, it aims again
                 step = yield from crew.go(self.aim(mover, target, watcher, None, offset, True, alone))
             if step.corner is not None:
-                if crew.may_be(step.corner, target):
-                    yield Decided((crew.seen_again(step.corner, target, "found where it should be"),))
-                    return step.ended
-                yield from self._take_bearings(step, watcher)
-            if places == 0:
+                if self._is_likeliest(step, target):
+                    return step
+                yield from self._take_bearings(step, target, watcher, alone)
+            passed_target = any(record.vertex == target for record in crew.passed)
+            if places == 0 or passed_target:  # from now on it is aimed much better
                 search = iter(self.places_to_search(mover, target))
             places += 1
+            if places > self.search_places:
+                break
         raise Stuck(f"{mover} looked for vertex {target} in {places} places and did not find it ({step.ended})")
 
-    def _take_bearings(self, step: Step, watcher: str):
+    def _is_likeliest(self, step: Step, target: int) -> bool:
+        """Whether the corner found fits the target, and no other known vertex better."""
+        crew = self.crew
+        if not crew.may_be(step.corner, target):
+            return False
+        matches = known_corners(crew.chart, crew.recognition, step.corner)
+        return not matches or matches[0].vertex == target
+
+    def _take_bearings(self, step: Step, target: int, watcher: str, alone: bool):
         """Another corner than the one looked for: if it is known without doubt, the next way is aimed from there."""
         crew = self.crew
-        if step.ended == MoveEnd.PARTNER:
-            vertex = crew.at.get(watcher)
+        if step.ended == MoveEnd.PARTNER and not alone:
+            vertex = crew.at[watcher]
         else:
             vertex = crew.surely_known(known_corners(crew.chart, crew.recognition, step.corner))
-        if vertex is not None and crew.may_be(step.corner, vertex):
+        if vertex not in (None, target) and crew.may_be(step.corner, vertex):
             yield Decided((crew.seen_again(step.corner, vertex, "found on a search"),))

@@ -16,7 +16,7 @@ from coopslam.estimation.estimate import Estimate
 from coopslam.exploration.chart import Chart, outside
 from coopslam.exploration.free_map import FreeMap, Sector
 from coopslam.records import CornerSighting
-from coopslam.se2 import adjoint, observer_to_target_axes, position, wrap, xytheta
+from coopslam.se2 import Pose2, adjoint, observer_to_target_axes, position
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +27,7 @@ class RecognitionSettings:
     corners_per_m2: float = 0.5  # that are yet to be found, at least
     crowd_radius_m: float = 0.3  # known corners within it say how dense corners lie here
     distance_sq_max: float = 30.66  # of a vertex that was gone to: chi-square, 3 dof, 1 - 1e-6
+    contradiction_sq: float = 150.0  # beyond, a vertex that must be there is not: a decision before was wrong
     angle_sigmas: float = 5.0
     apart_sigmas: float = 10.0  # of a glance in passing; a corner nearer to its neighbours is left alone
     search_radius_m: float = 1.0
@@ -38,6 +39,7 @@ class RecognitionSettings:
             corners_per_m2=self.corners_per_m2,
             crowd_radius_m=self.crowd_radius_m,
             distance_sq_max=self.distance_sq_max,
+            contradiction_sq=self.contradiction_sq,
             angle_sigmas=self.angle_sigmas,
             apart_sigmas=self.apart_sigmas,
             search_radius_m=self.search_radius_m,
@@ -72,8 +74,10 @@ def corner_distance_sq(estimate: Estimate, sighting: CornerSighting, vertex: int
 def corner_mismatch(estimate: Estimate, pairs: Sequence[tuple[CornerSighting, int]]) -> tuple[np.ndarray, np.ndarray]:
     """(3k,) differences between k sighted corners and the vertices that they may show, and their (3k, 3k) covariance.
 
-    With V a vertex, X the observer and Z the sighting, V^-1 X Z is the identity when both are one corner; to first
-    order in right perturbations its error is Ad(Z^-1) dX - dV + dZ.
+    With V a vertex, X the observer and Z the sighting, T = V^-1 X Z is the identity when both are one corner. The
+    difference is its logarithm, in whose coordinates errors of heading over a long lever stay normal (Barfoot and
+    Furgale, Associating Uncertainty with Three-Dimensional Poses, 2014); to first order in right perturbations its
+    error is D (Ad(Z^-1) dX - Ad(T^-1) dV + dZ) with D the derivative of the logarithm at T.
     """
     observers = [estimate.pose_key_at(sighting.observer, sighting.stamp_s) for sighting, _ in pairs]
     vertices = [estimate.vertex_key(vertex) for _, vertex in pairs]
@@ -83,11 +87,13 @@ def corner_mismatch(estimate: Estimate, pairs: Sequence[tuple[CornerSighting, in
     cov = np.zeros((3 * len(pairs),) * 2)
     for k, ((sighting, _), observer, vertex) in enumerate(zip(pairs, observers, vertices, strict=True)):
         Z, row = sighting.T_observer_corner, slice(3 * k, 3 * k + 3)
-        mismatch[row] = xytheta(estimate.value(vertex).between(estimate.value(observer) * Z))
-        mismatch[3 * k + 2] = wrap(mismatch[3 * k + 2])
-        jacobian[row, column[observer] : column[observer] + 3] += adjoint(Z.inverse())
-        jacobian[row, column[vertex] : column[vertex] + 3] -= np.eye(3)
-        cov[row, row] = observer_to_target_axes(Z, sighting.cov_observer)
+        apart = estimate.value(vertex).between(estimate.value(observer) * Z)
+        carry = Pose2.LogmapDerivative(apart)
+        mismatch[row] = Pose2.Logmap(apart)
+        jacobian[row, column[observer] : column[observer] + 3] += carry @ adjoint(Z.inverse())
+        # the vertex is on the other side of T
+        jacobian[row, column[vertex] : column[vertex] + 3] -= carry @ adjoint(apart.inverse())
+        cov[row, row] = carry @ observer_to_target_axes(Z, sighting.cov_observer) @ carry.T
     return mismatch, jacobian @ estimate.joint_covariance(keys) @ jacobian.T + cov
 
 
@@ -132,12 +138,12 @@ def known_corners(
     reach = max(
         limits.search_radius_m, limits.search_sigmas * chart.estimate.belief(sighting.observer).position_sigma_m
     )
-    density = corner_density(chart, limits, here)
     matches = []
     for vertex in chart.near(here, reach):
         angle = chart.free_map.interior_angles[vertex]
         if vertex in leave_out or not interior_angle_agrees(sighting, angle, limits.angle_sigmas):
             continue
+        density = corner_density(chart, limits, here, vertex)
         odds, distance_sq = log_odds(chart, [(sighting, vertex)], density, limits.angle_sigmas)
         if odds > -limits.margin_log_odds:
             sector = None if gate is None else sector_for(chart, vertex, gate, walked)
@@ -145,9 +151,10 @@ def known_corners(
     return sorted(matches, key=lambda match: -match.log_odds)
 
 
-def corner_density(chart: Chart, limits: RecognitionSettings, here: np.ndarray) -> float:
-    """Corners per m^2 that may be found around (2,) `here`: as many as are known there, or a few anywhere."""
-    crowd = len(chart.near(here, limits.crowd_radius_m))
+def corner_density(chart: Chart, limits: RecognitionSettings, here: np.ndarray, candidate: int) -> float:
+    """Corners per m^2 that may be found around (2,) `here`: as many as are known there beside the candidate itself, or
+    a few anywhere."""
+    crowd = len(set(chart.near(here, limits.crowd_radius_m)) - {candidate})
     return max(limits.corners_per_m2, crowd / (pi * limits.crowd_radius_m**2))
 
 

@@ -38,7 +38,7 @@ from coopslam.se2 import Pose2, planar_rotation, position, xytheta
 
 REACH = 4  # steps in the dual graph, from how far a triangle takes legs at most
 DIFFERENT = 5.0  # squared normal deviation from which on two triangles share nothing; 2.5 % by chance
-PRIOR_INFORMATION = 1.0  # of the average over the map, in every part of it; a leg measured perfectly has 3
+PRIOR_INFORMATION = 0.2  # of the average over the map, in every part of it; a leg measured perfectly has 3
 LEAST_OF_MEAN = 0.25  # of the map's mean sigma: y^2 - p r of a few legs can add up to less than zero
 NEAR_M = 0.02  # a leg so near a triangle was driven in it
 LEAST_PART = 0.01  # of a leg: one that lies less in the map is taken for an average one
