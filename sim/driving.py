@@ -53,7 +53,7 @@ class Driver:
             body.corner, body.wall = drive.corner, drive.wall
         if body.corner is not None and ended in (MoveEnd.CORNER, MoveEnd.PARTNER):
             records.append(self.scene.sight_corner(drive.robot, body.corner))
-        travelled = sum(record.T_start_now.x() for record in records if isinstance(record, Odometry))
+        travelled = sum(abs(record.T_start_now.x()) for record in records if isinstance(record, Odometry))
         return Step(self.scene.time_s, tuple(records), ended, travelled)
 
     def _turn(self, robot: str, heading: float) -> list:

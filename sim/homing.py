@@ -1,7 +1,8 @@
 """The way of a robot to where a known corner should be: straight, along walls that are in the way, then to the corner.
 
 The robot knows only where the corner should be and what its short-range finder shows within reach; the course
-itself is held without error, since the partner watches it.
+itself is held without error, as if the partner corrected it all the time; so it is on the few errands that no partner
+watches, which flatters them.
 """
 
 from collections.abc import Callable

@@ -3,7 +3,6 @@
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from itertools import takewhile
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from coopslam.estimation.factors import GAUGE_SIGMA
 from coopslam.estimation.gate import Gate, GateSettings
 from coopslam.estimation.keys import pose_key
 from coopslam.estimation.timeline import Edge, Timeline
-from coopslam.records import Odometry, Record
+from coopslam.records import Record
 from coopslam.se2 import Pose2, adjoint, chain_covariance
 
 
@@ -30,8 +29,9 @@ class DeadReckoning:
         """Compose a further group of records."""
         began = time.perf_counter()
         records = list(records)
-        first_looks = list(takewhile(lambda record: not isinstance(record, Odometry), records))
-        growth = self.timeline.extend(records, self._estimate.value, self._gate.refusals(first_looks, self._estimate))
+        placed = all(map(self.timeline.is_placed, self.timeline.robots))
+        refusals = {} if placed else self._gate.refusals(records, self._estimate)
+        growth = self.timeline.extend(records, self._estimate.value, refusals)
         self._estimate.grow(growth.tree)
         self._estimate.keep_causal(growth.poses)
         self.timing += time.perf_counter() - began

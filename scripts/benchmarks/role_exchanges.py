@@ -2,7 +2,8 @@
 
 Runs of one world with several numbers of sightings per leg. After each leg the position of the robot that stands is
 compared with the truth, and its sigma is noted; both are fitted by  c * exchanges^p * sightings^q  (least squares in
-logarithms). A growth with the number of samples would be q > 0.
+logarithms; the standard errors take the seeds as independent, by leaving out one at a time). A growth with the number
+of samples would be q > 0.
 """
 
 import csv
@@ -19,6 +20,7 @@ sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
 from _exploration import ExplorationSettings, explore, prepare
 
 from coopslam.evaluation.trajectory_error import interpolate_se2
+from coopslam.records import MoveNote
 from coopslam.report.exchange_figure import draw_exchanges
 from coopslam.se2 import position
 from sim.team import TeamSettings
@@ -49,7 +51,7 @@ def main() -> int:
         writer.writerows(rows)
     table = np.array(rows)
     for name, column in (("sigma", 4), ("rms error", 5)):
-        _fit(name, *_curves(table, column))
+        _fit(name, table, column)
     draw_exchanges(table, options.out / "exchanges.png")
     print(f"{options.out / 'exchanges.png'} and exchanges.csv written")
     return 0
@@ -64,9 +66,9 @@ def _one(job: tuple[str, int, int]) -> list[tuple]:
     track_of, fixes, rows = run.truth.tracks, 0, []
     origin = track_of[team.robots[0]].poses[0]
     causal = {robot: run.mission.estimate.causal_trajectory(robot) for robot in team.robots}
-    for progress in run.mission.history:
-        fixes = progress.sightings
-        stander = min(progress.position_sigma_m, key=progress.position_sigma_m.get)
+    moves = [record for record in run.records if isinstance(record, MoveNote)]
+    for progress, move in zip(run.mission.history, moves, strict=True):
+        fixes, stander = progress.sightings, move.watcher
         known = causal[stander]
         k = int(np.searchsorted(known.stamps_s, progress.stamp_s + 1e-6)) - 1
         really = interpolate_se2(track_of[stander].stamps_s, track_of[stander].poses, known.stamps_s[k : k + 1])[0]
@@ -85,16 +87,25 @@ def _curves(table: np.ndarray, column: int) -> tuple[np.ndarray, np.ndarray, np.
     return keys[:, 0], keys[:, 1], np.array([np.sqrt(np.mean(np.square(values))) for values in groups.values()])
 
 
-def _fit(name: str, exchanges: np.ndarray, sightings: np.ndarray, values: np.ndarray) -> None:
-    """Print the exponents with their standard errors."""
+def _fit(name: str, table: np.ndarray, column: int) -> None:
+    """Print the exponents with their standard errors: a jackknife over the seeds."""
+    solution, r_squared, points = _exponents(table, column)
+    seeds = np.unique(table[:, 1])
+    without = np.array([_exponents(table[table[:, 1] != seed], column)[0] for seed in seeds])
+    errors = np.sqrt((len(seeds) - 1) * without.var(axis=0)) if len(seeds) > 1 else np.full(3, np.nan)
+    print(
+        f"{name:10s} ~ exchanges^({solution[1]:.2f} +- {errors[1]:.2f}) * sightings per leg^({solution[2]:.2f} +- "
+        f"{errors[2]:.2f}), R^2 {r_squared:.3f}, {points} points"
+    )
+
+
+def _exponents(table: np.ndarray, column: int) -> tuple[np.ndarray, float, int]:
+    """(constant, exponent of exchanges, exponent of sightings), R^2, and the number of points fitted."""
+    exchanges, sightings, values = _curves(table, column)
     design = np.column_stack([np.ones(len(values)), np.log(exchanges), np.log(sightings)])
     solution, _, _, _ = np.linalg.lstsq(design, np.log(values), rcond=None)
     rest = np.log(values) - design @ solution
-    errors = np.sqrt(np.diag(np.linalg.inv(design.T @ design)) * (rest @ rest) / (len(values) - 3))
-    print(
-        f"{name:10s} ~ exchanges^({solution[1]:.2f} +- {errors[1]:.2f}) * sightings per leg^({solution[2]:.2f} +- "
-        f"{errors[2]:.2f}), R^2 {1 - rest.var() / np.log(values).var():.3f}, {len(values)} points"
-    )
+    return solution, float(1 - rest.var() / np.log(values).var()), len(values)
 
 
 if __name__ == "__main__":
