@@ -9,6 +9,7 @@ import sys
 import tempfile
 from argparse import ArgumentParser
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from _exploration import ExplorationSettings, explore, prepare
 from _study import is_success
 
 from coopslam.evaluation.consistency import chi_square_band
+from sim.noise import FalseSightings
 
 
 def main() -> int:
@@ -26,19 +28,35 @@ def main() -> int:
     parser.add_argument("worlds", nargs="+", help="names or GeoJSON files")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--noise", default="typical", choices=["none", "typical", "legged"])
+    parser.add_argument("--outliers", type=float, default=0.0, help="fraction of sightings that are reflections")
+    parser.add_argument("--dropouts", type=float, default=0.0, help="fraction of sightings that are missed")
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
+    false = FalseSightings(options.outliers, options.dropouts)
+    everything = []
     with ProcessPoolExecutor(options.processes) as pool:
         for world in options.worlds:
-            jobs = [(world, seed, options.noise) for seed in range(options.seeds)]
-            _report(world, list(pool.map(_one, jobs)))
+            settings = ExplorationSettings(world=world, noise=options.noise, false_sightings=false, figures="none")
+            summaries = list(pool.map(_one, [replace(settings, seed=seed) for seed in range(options.seeds)]))
+            _report(world, summaries)
+            everything += summaries
+    _total(everything)
     return 0
 
 
-def _one(job: tuple[str, int, str]) -> dict:
-    world, seed, noise = job
+def _one(settings: ExplorationSettings) -> dict:
     with tempfile.TemporaryDirectory() as out:
-        return explore(prepare(ExplorationSettings(world=world, seed=seed, noise=noise)), Path(out)).summary
+        return explore(prepare(settings), Path(out)).summary
+
+
+def _total(summaries: list[dict]) -> None:
+    complete = [summary for summary in summaries if summary["outcome"] == "complete"]
+    good = sum(map(is_success, summaries))
+    print(
+        f"\nall worlds: {len(summaries)} runs, {len(complete)} complete, {good} of these true triangulations "
+        f"({100 * good / len(summaries):.1f} % of all runs); sightings of corners taken for another: "
+        f"{sum(summary['corners_misnamed'] for summary in summaries)}"
+    )
 
 
 def _report(world: str, summaries: list[dict]) -> None:
@@ -53,6 +71,8 @@ def _report(world: str, summaries: list[dict]) -> None:
     _row("vertex rmse, cm", [100 * s["vertex_rmse_m"] for s in good])
     for name in good[0]["estimators"]:
         _row(f"{name} ATE, cm", [100 * s["estimators"][name]["ate_rmse_m"] for s in good])
+    errors = [{name: scores["ate_rmse_m"] for name, scores in s["estimators"].items()} for s in good]
+    _row("odometry alone / smoothed", [error["dead-reckoning"] / error["batch"] for error in errors])
     _row("travel / perimeter", [s["travel_over_perimeter"] for s in good])
     _band("vertex NEES", [s["vertex_nees_mean"] for s in good], 2)
     _band("pose NEES", [s["estimators"]["batch"]["nees_mean"] for s in good], 3)
