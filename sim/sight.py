@@ -87,14 +87,7 @@ class Sight:
         if on_line.size:
             corner = int(on_line[np.argmin(along[on_line])])
             best = Obstacle(float(along[corner]), corner=corner)
-        beyond = self.world.next_index
-        crossing = (
-            (np.abs(beside) > TOLERANCE_M) & (np.abs(beside[beyond]) > TOLERANCE_M) & (beside * beside[beyond] < 0)
-        )
-        walls = np.flatnonzero(crossing)
-        at = along[walls] + (along[beyond[walls]] - along[walls]) * beside[walls] / (
-            beside[walls] - beside[beyond[walls]]
-        )
+        walls, at = self._walls_across(along, beside)
         walls, at = walls[at > TOLERANCE_M], at[at > TOLERANCE_M]
         if walls.size and (best is None or at.min() < best.distance_m):
             nearest = int(np.argmin(at))
@@ -124,19 +117,25 @@ class Sight:
         direction = direction / length
         arm = self.points - a
         along, beside = arm @ direction, cross(direction, arm)
-        beyond = self.world.next_index
-        crossing = np.flatnonzero(
-            (np.abs(beside) > TOLERANCE_M) & (np.abs(beside[beyond]) > TOLERANCE_M) & (beside * beside[beyond] < 0)
-        )
-        at = along[crossing] + (along[beyond[crossing]] - along[crossing]) * beside[crossing] / (
-            beside[crossing] - beside[beyond[crossing]]
-        )
+        _, at = self._walls_across(along, beside)
         if ((at > TOLERANCE_M) & (at < length - TOLERANCE_M)).any():
             return False
         touched = along[(np.abs(beside) <= TOLERANCE_M) & (along > TOLERANCE_M) & (along < length - TOLERANCE_M)]
         stops = np.concatenate([[0.0], np.sort(touched), [length]])
         middles = a + np.outer((stops[:-1] + stops[1:]) / 2, direction)
         return bool(all(self._is_free(point) for point in middles))
+
+    def _walls_across(self, along: np.ndarray, beside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Walls that cross a line clear of their corners, and where on the line, m.
+
+        along, beside: (n,) coordinates of all corners from the line's origin, m.
+        """
+        beyond = self.world.next_index
+        clear = (np.abs(beside) > TOLERANCE_M) & (np.abs(beside[beyond]) > TOLERANCE_M)
+        walls = np.flatnonzero(clear & (beside * beside[beyond] < 0))
+        ends = beyond[walls]
+        share = beside[walls] / (beside[walls] - beside[ends])
+        return walls, along[walls] + (along[ends] - along[walls]) * share
 
     def is_hidden(self, a, b) -> bool:
         """Whether a does not see b, beyond any doubt of rounding: an obstacle lies between them, deeper than 1 um."""

@@ -10,7 +10,12 @@ from random_worlds import random_world
 from test_free_map import grown
 
 from coopslam.exploration.free_map import FreeMap
-from coopslam.exploration.travel import CLEARANCE_M, CLEARANCE_RAD, reachable_gates, route_to_gate
+from coopslam.exploration.travel import CLEARANCE_M, CLEARANCE_RAD, Crossing, reachable_gates
+
+
+def route_to_gate(free_map: FreeMap, at, positions) -> tuple[list[Crossing], tuple[int, int]] | None:
+    option = next(reachable_gates(free_map, at, positions), None)
+    return None if option is None else (list(option.crossings), option.gate)
 
 
 def state(u: int, v: int) -> tuple[int, int]:

@@ -38,14 +38,6 @@ class GateOption:
     opened: int  # the triangle that opened it; -1: the first wall
 
 
-def route_to_gate(
-    free_map: FreeMap, at: tuple[int, int], positions: Positions
-) -> tuple[list[Crossing], tuple[int, int]] | None:
-    """The way with the fewest metres from the vertices where the team stands to any open gate; None: there is none."""
-    option = next(reachable_gates(free_map, at, positions), None)
-    return None if option is None else (list(option.crossings), option.gate)
-
-
 def reachable_gates(free_map: FreeMap, at: tuple[int, int], positions: Positions) -> Iterator[GateOption]:
     """The open gates, nearest first, from the vertices where the team stands; searched as far as they are asked for.
 
