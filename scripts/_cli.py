@@ -12,6 +12,7 @@ class OneLineParser(argparse.ArgumentParser):
     """Says what is wrong with an argument in one line; exit code 2."""
 
     def error(self, message: str) -> NoReturn:
+        message = " ".join(word if len(word) <= 60 else word[:57] + "..." for word in message.split())
         print(f"{self.prog}: {message} (see --help)", file=sys.stderr)
         raise SystemExit(2)
 

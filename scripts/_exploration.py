@@ -6,6 +6,7 @@ A run that ends badly is written like any other; what could not be computed is n
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
+from math import isinf
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -15,16 +16,14 @@ import numpy as np
 from _exploration_output import summarize, view_of, write_run
 
 from coopslam import __version__
-from coopslam.errors import BadInput, CoopSlamError, UnderDetermined
+from coopslam.errors import BadInput, CoopSlamError, UnderDetermined, shown
 from coopslam.estimation.batch import Batch, BatchEstimate, chi_square
 from coopslam.estimation.dead_reckoning import DeadReckoning
 from coopslam.estimation.estimate import Estimate, Trajectory
 from coopslam.estimation.gate import GateSettings
 from coopslam.estimation.incremental import Incremental, IncrementalSettings
 from coopslam.estimation.robust import RobustSettings, RobustSolution, solve_robust
-from coopslam.evaluation.exploration_score import (
-    ExplorationTruth,
-)
+from coopslam.evaluation.exploration_score import ExplorationTruth
 from coopslam.exploration.explorer import Explorer, ExplorerSettings
 from coopslam.exploration.mission import Budget, Mission, Progress, run_mission
 from coopslam.io.run_log import RunLogWriter
@@ -33,9 +32,8 @@ from coopslam.planning.dual_graph import dual_graph
 from coopslam.planning.recorded_odometry import RecordedOdometry
 from coopslam.records import CornerDecision, LogHeader, MoveNote, Record, RelativePoseFix
 from coopslam.report import figures, html
-from coopslam.report.run_directory import (
-    write_json,
-)
+from coopslam.report.run_directory import write_json
+from coopslam.report.run_view import RunView
 from coopslam.se2 import Pose2
 from sim.noise import PRESETS, FalseSightings, Noise, OdometryBias
 from sim.sensors import Sensors
@@ -45,6 +43,7 @@ from sim.world import World, load_world, world_names
 DRIVERS = {"incremental": Incremental, "batch": Batch}
 WORST_CHI_SQUARE = 25.0  # per degree of freedom; 1 expected. Beyond, the estimate contradicts the records
 ENOUGH_DOF = 50  # for that to be no chance
+LARGEST_SEED = 2**63 - 1  # that TOML promises to carry
 MOST_FALSE = 0.5  # of all sightings; beyond, there is no saying which half is true
 T = TypeVar("T")
 
@@ -68,6 +67,10 @@ class ExplorationSettings:
     gate: GateSettings = field(default_factory=GateSettings)  # for false sightings, while the robots drive
     robust: RobustSettings = field(default_factory=RobustSettings)  # for false sightings, in the final smoothing
     budget: Budget = field(default_factory=Budget)
+
+    def __post_init__(self):
+        if not 0 <= self.seed <= LARGEST_SEED:
+            raise BadInput(f"seed: zero or more expected, at most 2^63 - 1, got {shown(self.seed)}")
 
     def resolved(self) -> "ExplorationSettings":
         """The same with the noise spelled out. Raises BadInput when a belief leaves no room for doubt."""
@@ -119,6 +122,7 @@ class Exploration:
     mission: Mission
     driver: Incremental | Batch
     truth: ExplorationTruth
+    began_s: float  # on time.perf_counter
     records: list[Record] = field(default_factory=list)  # everything that is in the log
     solution: RobustSolution | None = None
     batch: BatchEstimate | None = None
@@ -143,9 +147,13 @@ class Exploration:
 
 
 def prepare(settings: ExplorationSettings) -> Prepared:
-    """World, sensors and robots. Raises BadInput for what is wrong with the settings; nothing is written."""
+    """World, sensors and robots. Raises BadInput that begins with the dotted key; nothing is written."""
     settings = settings.resolved()
-    world = load_world(settings.world)
+    try:
+        world = load_world(settings.world)
+    except BadInput as error:
+        raise BadInput(f"world: {error}") from error
+    _require_start(settings.team, world)
     if settings.world not in world_names():
         settings = replace(settings, world=str(Path(settings.world).absolute()))  # config.toml is read from anywhere
     rng = np.random.default_rng(settings.seed)
@@ -159,8 +167,24 @@ def prepare(settings: ExplorationSettings) -> Prepared:
     return Prepared(settings, world, team, driver, Explorer(robots, settings.explorer))
 
 
+def _require_start(team: TeamSettings, world: World) -> None:
+    """Raises BadInput unless the team starts in a corner of the world."""
+    if not 0 <= team.start_ring < len(world.rings):
+        raise BadInput(f"team.start_ring: 0 to {len(world.rings) - 1} in this world expected, got {team.start_ring}")
+    corners = len(world.rings[team.start_ring])
+    if not 0 <= team.start_corner < corners:
+        raise BadInput(f"team.start_corner: 0 to {corners - 1} in this ring expected, got {team.start_corner}")
+
+
 def explore(ready: Prepared, out: Path, watch: Callable[[Progress], None] | None = None) -> Exploration:
     """Explore, smooth, evaluate; the run directory `out` exists and gets everything but the figures."""
+    run = drive(ready, out, watch)
+    conclude(run, out)
+    return run
+
+
+def drive(ready: Prepared, out: Path, watch: Callable[[Progress], None] | None = None) -> Exploration:
+    """The mission alone; `out` gets config.toml and, move by move, log.mcap."""
     began = time.perf_counter()
     settings, world = ready.settings, ready.world
     (out / "config.toml").write_text(dump_toml(to_mapping(settings)), encoding="utf-8")
@@ -176,24 +200,29 @@ def explore(ready: Prepared, out: Path, watch: Callable[[Progress], None] | None
 
         mission = run_mission(ready.team, ready.driver, ready.explorer, keep, settings.budget, watch)
 
-    run = Exploration(settings, world, mission, ready.driver, _truth(ready.team.truth, world, records), records)
-    _smooth(run, records)
+    truth = _truth(ready.team.truth, world, records)
+    return Exploration(settings, world, mission, ready.driver, truth, began, records)
+
+
+def conclude(run: Exploration, out: Path) -> None:
+    """Smooth and evaluate what a mission recorded; `out` gets the results."""
+    _smooth(run, run.records)
     run.dual_graph = run.left_out.attempt("dual_graph.json", _dual_graph, run)
     run.summary = summarize(run)
     write_run(run, out)
-    run.summary["total_seconds"] = time.perf_counter() - began
+    run.summary["total_seconds"] = time.perf_counter() - run.began_s
     _write_summary(run, out)
-    return run
 
 
-def draw(run: Exploration, out: Path) -> None:
-    """figures/ and report.html of a run, which both go into its directory."""
+def draw(run: Exploration, out: Path) -> RunView:
+    """figures/ and report.html of a run, which both go into its directory; what they show."""
     known = len(run.left_out)
     view = view_of(run)
     drawn = [] if run.settings.figures == "none" else figures.draw_all(view, out / "figures")
     html.write_report(out / "report.html", view, drawn)
     if len(run.left_out) > known:
         _write_summary(run, out)
+    return view
 
 
 def _write_summary(run: Exploration, out: Path) -> None:
@@ -207,10 +236,7 @@ def _smooth(run: Exploration, records: list[Record]) -> None:
     """The batch solution and odometry alone. A map that they contradict is not complete."""
     mission, robots = run.mission, run.settings.team.robots
     driver, began = run.driver, time.perf_counter()
-    run.solution = run.left_out.attempt(
-        "estimators.batch",
-        lambda: solve_robust(driver.graph, driver.timeline.refused, driver.values(), robots, run.settings.robust),
-    )
+    run.solution = run.left_out.attempt("estimators.batch", _solution, driver, robots, run.settings.robust)
     run.seconds = {"batch": time.perf_counter() - began}
     reckoner = DeadReckoning(robots)
     run.dead_reckoning = run.left_out.attempt("estimators.dead-reckoning", reckoner.update, records)
@@ -220,6 +246,15 @@ def _smooth(run: Exploration, records: list[Record]) -> None:
     doubt = _doubt(run)
     if doubt and (mission.outcome == "complete" or (mission.outcome == "budget" and run.solution is not None)):
         mission.outcome, mission.reason = "stuck", doubt
+
+
+def _solution(driver: Incremental | Batch, robots: tuple[str, ...], settings: RobustSettings) -> RobustSolution:
+    """Everything smoothed at once. Without a limit there is no deciding again: what the gate refused stays out."""
+    refused = driver.timeline.refused
+    if isinf(settings.distance_sq_max):
+        plain = solve_robust(driver.graph, (), driver.values(), robots, settings)
+        return replace(plain, outliers=list(refused))
+    return solve_robust(driver.graph, refused, driver.values(), robots, settings)
 
 
 def _doubt(run: Exploration) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import networkx as nx
 import numpy as np
 
+from coopslam.errors import UnderDetermined
 from coopslam.estimation.estimate import Estimate, Trajectory
 from coopslam.evaluation.exploration_score import (
     bound_on_ate,
@@ -17,6 +18,7 @@ from coopslam.evaluation.exploration_score import (
     score_triangulation,
     score_vertices,
 )
+from coopslam.io.toml import to_mapping
 from coopslam.io.tum import write_tum
 from coopslam.planning.dual_graph import signed_area_m2
 from coopslam.records import RelativePoseFix
@@ -43,6 +45,9 @@ def summarize(run: Exploration) -> dict:
         "seed": run.settings.seed,
         "noise": run.settings.noise_name,
         "estimator": run.settings.estimator,
+        "robots": list(run.settings.team.robots),
+        "strategy": run.settings.explorer.strategy,
+        "false_sightings": to_mapping(run.settings.false_sightings),
         "outcome": mission.outcome,
         "outcome_reason": mission.reason,
         "vertices": len(free_map.fans),
@@ -53,14 +58,28 @@ def summarize(run: Exploration) -> dict:
         "travel_m": dict(mission.travel_m),
         "travel_over_perimeter": sum(mission.travel_m.values()) / run.world.perimeter_m,
         "mapped_area_m2": attempt("mapped_area_m2", _mapped_area_m2, run),
-        **(attempt("scores of the triangulation", score_triangulation, free_map, run.truth) or {}),
-        **(attempt("scores of the vertices", lambda: score_vertices(free_map, run.final, run.truth)) or {}),
+        **(attempt("scores of the triangulation", _triangulation, run) or {}),
+        **(attempt("scores of the vertices", _vertices, run) or {}),
         "sightings": _sightings(run),
         "corners_misnamed": run.truth.misnamed,
         "smoothed_moved_m": attempt("smoothed_moved_m", lambda: _largest_move(mission.estimate, run.final)),
         "estimators": _estimators(run),
     }
     return {key: _finite(key, value, run.left_out) for key, value in summary.items() if value is not None}
+
+
+def _triangulation(run: Exploration) -> dict:
+    """The scores of the triangulation; none at all is not a true one."""
+    free_map = run.mission.explorer.free_map
+    scores = score_triangulation(free_map, run.truth)
+    return scores if free_map.triangles else {**scores, "true_triangulation": False}
+
+
+def _vertices(run: Exploration) -> dict:
+    """The scores of the vertices. Raises UnderDetermined when there is no triangle: two corners are no map."""
+    if not run.mission.explorer.free_map.triangles:
+        raise UnderDetermined("no triangle was found")
+    return score_vertices(run.mission.explorer.free_map, run.final, run.truth)
 
 
 def _sightings(run: Exploration) -> dict[str, int]:

@@ -2,15 +2,18 @@
 
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
+from math import inf
 from typing import Any
 
 from _exploration import ExplorationSettings
-from _study_axes import Changes
+from _study_axes import Changes, brief
 
 from coopslam.errors import BadInput
 from coopslam.io.toml import from_mapping, to_mapping
+from sim.world_checks import short
 
 NOISE_TABLES = ("true_noise", "believed_noise")
+MOST_EXACT = 2**53  # integers below are floats
 
 
 def effective_settings(base: Mapping, changes: list[Changes], where: str) -> ExplorationSettings:
@@ -43,7 +46,7 @@ def _put(mapping: dict, name: str, value: Any, where: str) -> None:
     for table in tables:
         mapping = mapping.setdefault(table, {})
         if not isinstance(mapping, dict):
-            raise BadInput(f"{where}: {name}: {table!r} is a setting, not a table")
+            raise BadInput(f"{where}: {brief(name)}: {short(table)} is a setting, not a table")
     mapping[last] = deepcopy(value)
 
 
@@ -53,18 +56,30 @@ def _scale(mapping: dict, name: str, factor: float, where: str) -> None:
     for table in [*tables, last]:
         if not isinstance(mapping, dict) or table not in mapping:
             known = ", ".join(mapping) if isinstance(mapping, dict) else "none"
-            raise BadInput(f"{where}: scale: unknown key {table!r} in {name!r}; known keys: {known}")
+            raise BadInput(f"{where}: scale: unknown key {short(table)} in {short(name)}; known keys: {known}")
         parent, mapping = mapping, mapping[table]
-    scaled = dict(_scaled(mapping, last, factor))
+    scaled = dict(_scaled(mapping, last, factor, f"{where}: scale: {brief(name)}"))
     if not scaled:
-        raise BadInput(f"{where}: scale: {name}: a number or a table with numbers expected, got {mapping!r}")
+        raise BadInput(
+            f"{where}: scale: {brief(name)}: a number or a table with numbers expected, got {short(mapping)}"
+        )
     parent.update(scaled)
 
 
-def _scaled(value: Any, key: str, factor: float) -> Iterator[tuple[str, Any]]:
+def _scaled(value: Any, key: str, factor: float, place: str) -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict):
-        inner = {k: v for name in value for k, v in _scaled(value[name], name, factor)}
+        inner = {k: v for name in value for k, v in _scaled(value[name], name, factor, place)}
         if inner:
             yield key, {**value, **inner}
-    elif type(value) in (int, float):
+    elif type(value) is int:
+        yield key, _whole(value, key, factor, place)
+    elif type(value) is float:
         yield key, value * factor
+
+
+def _whole(count: int, key: str, factor: float, place: str) -> int:
+    """A count times a factor; a factor like 0.29 is no binary fraction, so the product may be off by rounding."""
+    scaled = float(count) * factor if abs(count) < MOST_EXACT else inf
+    if not abs(scaled) < MOST_EXACT or abs(scaled - round(scaled)) > 1e-9 * abs(scaled):
+        raise BadInput(f"{place}: {key} counts something, but {short(count)} times {factor:g} is no whole number")
+    return round(scaled)

@@ -7,17 +7,27 @@ import time
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 
 from _cli import OneLineParser, run
-from _exploration import DRIVERS, Exploration, ExplorationSettings, draw, explore, prepare
-from _exploration_output import view_of
+from _exploration import (
+    DRIVERS,
+    LARGEST_SEED,
+    Exploration,
+    ExplorationSettings,
+    Prepared,
+    conclude,
+    draw,
+    drive,
+    prepare,
+)
 from rich.console import Console
 from rich.live import Live
 from rich.progress import track
 from rich.table import Table
 
-from coopslam.errors import BadInput
+from coopslam.errors import BadInput, NotWritten, shown
 from coopslam.exploration.mission import Progress
 from coopslam.exploration.strategies import STRATEGIES
 from coopslam.io.toml import from_mapping, load_toml
@@ -25,8 +35,9 @@ from coopslam.report import html
 from coopslam.report.animation import write_animation
 from coopslam.report.figures import drawn_in
 from coopslam.report.run_directory import fresh_directory, prepare_run_directory
+from coopslam.report.run_view import RunView
 from coopslam.report.video import mp4_is_possible
-from sim.noise import PRESETS
+from sim.noise import MOST_FALSE, PRESETS
 from sim.team_settings import MOST_ROBOTS
 from sim.world import world_names
 
@@ -37,16 +48,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, explore, draw, print. Returns the exit code."""
     options = _parser().parse_args(arguments)
     settings = _settings(options)
-    ready = prepare(settings)  # whatever the settings get wrong comes before an old run is deleted
+    ready = _prepare(settings, options)  # whatever the settings get wrong comes before an old run is deleted
     world = ready.world.name
     out = options.out or fresh_directory(Path("runs") / f"{_slug(world)}-{settings.noise_name}-{settings.seed}")
     prepare_run_directory(out, options.force)
     began = time.perf_counter()
-    with ProgressDisplay(world) as display:
-        finished = explore(ready, out, display.show)
-    draw(finished, out)
-    if settings.figures == "all":
-        _animate(finished, out)
+    finished = None
+    try:
+        with ProgressDisplay(world) as display:
+            finished = drive(ready, out, display.show)
+            conclude(finished, out)
+        view = draw(finished, out)
+        if settings.figures == "all":
+            _animate(view, out)
+    except BrokenPipeError:  # nobody reads what is printed
+        raise
+    except OSError as error:
+        reason = f"cannot be written: {error.strerror or error}"
+        raise NotWritten(f"--out {str(out)[:200]}: {reason}", done=finished is not None) from error
     _print_result(finished, out, time.perf_counter() - began)
     if finished.mission.outcome != "complete":
         print(f"exploration {finished.mission.outcome}: {finished.mission.reason}", file=sys.stderr)
@@ -63,7 +82,7 @@ def _parser() -> OneLineParser:
         f"default: {ExplorationSettings().world}",
     )
     parser.add_argument("--config", metavar="C.toml", type=Path, help="settings from a TOML file; options override it")
-    parser.add_argument("--seed", metavar="N", type=int, help="of all random numbers; default: 0")
+    parser.add_argument("--seed", metavar="N", type=_seed, help="of all random numbers; default: 0")
     parser.add_argument(
         "--noise",
         metavar="P",
@@ -90,15 +109,15 @@ def _parser() -> OneLineParser:
         "--strategy", metavar="S", choices=[*STRATEGIES], help=f"which waiting gate next: {', '.join(STRATEGIES)}"
     )
     parser.add_argument(
-        "--outliers", metavar="F", type=float, help="fraction of sightings that are reflections, 0 to 0.5"
+        "--outliers", metavar="F", type=_share, help="fraction of sightings that are reflections, 0 to 0.5"
     )
-    parser.add_argument("--dropouts", metavar="F", type=float, help="fraction of sightings that are missed, 0 to 0.5")
+    parser.add_argument("--dropouts", metavar="F", type=_share, help="fraction of sightings that are missed, 0 to 0.5")
     parser.add_argument(
         "--no-reobservation", action="store_true", help="known corners passed on the way are not used as factors"
     )
-    parser.add_argument("--max-moves", metavar="N", type=int, help="stop with outcome budget after so many moves")
+    parser.add_argument("--max-moves", metavar="N", type=_moves, help="stop with outcome budget after so many moves")
     parser.add_argument(
-        "--max-travel", metavar="M", type=float, help="stop with outcome budget after so many metres, all robots"
+        "--max-travel", metavar="M", type=_metres, help="stop with outcome budget after so many metres, all robots"
     )
     parser.add_argument("--force", action="store_true", help="overwrite a run in --out")
     return parser
@@ -124,9 +143,17 @@ def _settings(options) -> ExplorationSettings:
         settings = replace(settings, explorer=replace(settings.explorer, strategy=options.strategy))
     if options.no_reobservation:
         settings = replace(settings, explorer=replace(settings.explorer, reobserve=False))
-    if settings.seed < 0:
-        raise BadInput(f"seed: zero or more expected, got {settings.seed}")
     return settings
+
+
+def _prepare(settings: ExplorationSettings, options) -> Prepared:
+    """Raises BadInput with the option or the file that a wrong setting comes from."""
+    try:
+        return prepare(settings)
+    except BadInput as error:
+        if options.world is not None and str(error).startswith("world: "):
+            raise BadInput(f"--{error}") from error
+        raise BadInput(f"{options.config or 'default settings'}: {error}") from error
 
 
 def _robot_names(count: int) -> tuple[str, ...]:
@@ -135,9 +162,8 @@ def _robot_names(count: int) -> tuple[str, ...]:
     return tuple(f"robot{k}" for k in range(count))
 
 
-def _animate(finished: Exploration, out: Path) -> None:
+def _animate(view: RunView, out: Path) -> None:
     """The animation, and the report once more with it. It takes longest, so the report without it was written first."""
-    view = view_of(finished)
     films = write_animation(view, out / "figures", _show_frames(Console()))
     if not films:
         print("there is no animation: no robot moved")
@@ -152,6 +178,33 @@ def _show_frames(console: Console) -> Callable[[Iterable], Iterable]:
         return lambda times: track(times, "drawing the animation", console=console, transient=True)
     print("drawing the animation", flush=True)
     return lambda times: times
+
+
+def _seed(text: str) -> int:
+    return _number(int, text, "a whole number from 0 to 2^63 - 1", lambda seed: 0 <= seed <= LARGEST_SEED)
+
+
+def _moves(text: str) -> int:
+    return _number(int, text, "a whole number from 1 to 2^63 - 1", lambda moves: 1 <= moves <= LARGEST_SEED)
+
+
+def _metres(text: str) -> float:
+    return _number(float, text, "more than zero and finite", lambda metres: 0 < metres < inf)
+
+
+def _share(text: str) -> float:
+    return _number(float, text, f"0 to {MOST_FALSE:g}", lambda share: 0 <= share <= MOST_FALSE)
+
+
+def _number(kind: type, text: str, expected: str, is_fine: Callable[[float], bool]):
+    """The number that an option gives; argparse puts the option's name before the message."""
+    try:
+        number = kind(text)
+    except ValueError:
+        raise ArgumentTypeError(f"{expected} expected, got {shown(text)}") from None
+    if not is_fine(number):
+        raise ArgumentTypeError(f"{expected} expected, got {shown(number)}")
+    return number
 
 
 def _path(text: str) -> Path:

@@ -7,11 +7,13 @@ tables of settings) and factors as `values`, or with tables as `values`, each wi
 and the settings that it changes. Every combination is run with every seed, and checked before any is run.
 """
 
+import signal
 import sys
 import tempfile
-from argparse import RawDescriptionHelpFormatter
-from collections.abc import Generator, Sequence
-from contextlib import closing
+import threading
+from argparse import ArgumentTypeError, RawDescriptionHelpFormatter
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +22,10 @@ from _study import Study, load_study
 from _study_crash import CRASH
 from _study_dask import connect, run_on_dask
 from _study_display import StudyProgress, combination_table
+from _study_files import only_sweep, require_same_study, write_anew, writing
 from _study_pool import processors, run_in_pool
 from _study_run import job_of, run_job
-from _study_table import ResultsTable, columns_of, identities, only_sweep
+from _study_table import ResultsTable, columns_of, identities
 
 from coopslam.errors import BadInput
 from coopslam.report.study_figures import draw_study
@@ -35,14 +38,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.processes is not None and options.processes < 1:
         raise BadInput(f"--processes: 1 or more expected, got {options.processes}")
     study = load_study(options.study)
-    columns, known = columns_of(study), identities(study)
+    columns, known = columns_of(study, str(options.study)), identities(study)
     client = connect(options.dask) if options.dask else None
     try:
-        with only_sweep(_directory(options.out or Path("runs") / f"study-{options.study.stem}")) as out:
+        with (
+            _ended_like_an_interrupt(),
+            only_sweep(_directory(options.out or Path("runs") / f"study-{options.study.stem}")) as out,
+        ):
+            if not options.force:
+                require_same_study(out, study.name)
             table = ResultsTable(out / "results.csv", columns, known)
-            if table.dropped:
-                print(f"{table.path}: {table.dropped} torn line(s) of an interrupted sweep dropped")
-            (out / "study.toml").write_text(study.text, encoding="utf-8")
+            if table.torn:
+                print(f"{table.path}: a torn line of an interrupted sweep dropped")
+            write_anew(out / "study.toml", study.text.encode())
             _run(study, table, known, out, options, client)
             return _report(study, table, out)
     finally:
@@ -56,10 +64,13 @@ def _parser() -> OneLineParser:
     parser.add_argument(
         "--out",
         metavar="DIR",
-        type=Path,
+        type=_path,
         help="for results.csv, study.toml and figures/; default: runs/study-NAME. Runs that its results.csv has are "
-        "not run again: say the same command again after an interruption, or after the study was extended",
+        "not run again: say the same command again after an interruption, or after the study was extended. A run is "
+        "known by its settings, world, seed and the version of the program; code that was changed under one version "
+        "keeps the old rows: use a new directory",
     )
+    parser.add_argument("--force", action="store_true", help="add to the table of a study of another name in DIR")
     parser.add_argument(
         "--processes", metavar="N", type=int, help=f"worker processes; default: one per processor, {processors()} here"
     )
@@ -74,6 +85,30 @@ def _parser() -> OneLineParser:
     )
     parser.add_argument("--retry-crashed", action="store_true", help="run those with outcome crash again")
     return parser
+
+
+def _path(text: str) -> Path:
+    if not text.strip():
+        raise ArgumentTypeError("a directory expected, got nothing")
+    return Path(text)
+
+
+@contextmanager
+def _ended_like_an_interrupt() -> Iterator[None]:
+    """SIGTERM ends what is within as Ctrl-C does: workers and temporary directories go, what is done stays."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only that one may say what a signal does
+        return
+
+    def interrupt(number, frame) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one would interrupt the cleaning up
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _directory(out: Path) -> Path:
@@ -92,6 +127,11 @@ def _run(study: Study, table: ResultsTable, known: dict, out: Path, options, cli
     todo = [each for each in study.runs if each.key not in done]
     succeeded = sum(table.rows[key]["success"] == "true" for key in done)
     keep = (out / "runs").absolute() if options.keep_runs else None
+    if todo:
+        table.require_writable()
+    for directory in [out / "figures", *([keep] if keep else [])]:
+        with writing(directory):  # faults come before the first run
+            directory.mkdir(exist_ok=True)
     with (
         tempfile.TemporaryDirectory(prefix="coopslam-sweep-", ignore_cleanup_errors=True) as scratch,
         StudyProgress(study.name, len(study.runs), len(done), succeeded) as progress,
@@ -114,7 +154,8 @@ def _results(jobs: list[dict], processes: int, client) -> Generator:
 def _report(study: Study, table: ResultsTable, out: Path) -> int:
     results = results_of(study, table)
     print(f"\n{study.name}: medians over the runs that succeeded\n{combination_table(results)}\n")
-    figures = draw_study(results, out / "figures")
+    with writing(out / "figures"):
+        figures = draw_study(results, out / "figures")
     print(f"{table.path} and {len(figures)} figures in {out / 'figures'} written")
     crashed = [row for row in map(table.rows.get, (each.key for each in study.runs)) if row["outcome"] == CRASH]
     if crashed:

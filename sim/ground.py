@@ -11,6 +11,7 @@ from coopslam.errors import BadInput
 from sim.world_checks import FARTHEST_M, parse_rings, require_simple_rings, short
 
 LARGEST_FACTOR = 100.0
+PROPERTIES = ("kind", "noise_factor", "name", "description", "units")  # that a patch may have
 SPOT_M = 1e-9  # a shorter stretch is a place
 
 
@@ -78,9 +79,14 @@ def is_patch(feature) -> bool:
 def parse_patch(feature: dict, where: str) -> Patch:
     """The patch of a Feature with `properties.kind` "slippery"; `where` begins every message. Raises BadInput."""
     properties, geometry = feature["properties"], feature.get("geometry")
+    for name in properties:
+        if name not in PROPERTIES:
+            raise BadInput(f"{where}: unknown property {short(name)}; known properties: {', '.join(PROPERTIES)}")
     units, factor = properties.get("units"), properties.get("noise_factor")
     if units is not None and units != "m":
         raise BadInput(f'{where}: properties.units is {short(units)}; "m" (metres) expected')
+    if "noise_factor" not in properties:
+        raise BadInput(f"{where}: noise_factor is missing; a number more than zero and at most 100 expected")
     is_number = isinstance(factor, int | float) and not isinstance(factor, bool)
     if not (is_number and 0 < factor <= LARGEST_FACTOR):
         raise BadInput(

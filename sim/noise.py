@@ -13,6 +13,7 @@ from coopslam.errors import BadInput
 from coopslam.se2 import Pose2
 
 MOST = 1e3  # m or rad, of any sigma
+MOST_FALSE = 0.5  # share of sightings; beyond, there is no saying which half is true
 
 
 class _Sigmas:
@@ -125,8 +126,8 @@ class FalseSightings:
     def __post_init__(self):
         for entry in fields(self):
             value = getattr(self, entry.name)
-            if not 0 <= value <= 0.5:
-                raise BadInput(f"{entry.name}: between 0 and 0.5 expected, got {value}")
+            if not 0 <= value <= MOST_FALSE:
+                raise BadInput(f"{entry.name}: 0 to {MOST_FALSE:g} expected, got {value}")
 
     @property
     def share(self) -> float:

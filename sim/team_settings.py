@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopslam.errors import BadInput
+from coopslam.errors import BadInput, require_between, require_positive, shown
 
 MOST_ROBOTS = 6
-POSITIVE = ("start_step_m", "speed_m_per_s", "turn_rate_rad_per_s", "odometry_period_s", "sighting_period_s")
+PACES = ("speed_m_per_s", "turn_rate_rad_per_s", "odometry_period_s", "sighting_period_s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,18 +30,19 @@ class TeamSettings:
     tracker_blind_m: float = 0.02  # closer than this the tracker sees nothing
 
     def __post_init__(self):
-        for name in POSITIVE:
-            if not 0 < getattr(self, name) < np.inf:
-                raise BadInput(f"{name}: more than zero expected, got {getattr(self, name)}")
+        require_positive(start_step_m=self.start_step_m)
+        for name in PACES:
+            require_between(1e-3, 1e4, **{name: getattr(self, name)})
         for name in ("finder_reach_m", "tracker_blind_m", "passing_corners_per_leg"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise BadInput(f"{name}: zero or more expected, got {getattr(self, name)}")
         for name in ("sightings_per_leg", "confirmations"):
             if not 1 <= getattr(self, name) < np.inf:
                 raise BadInput(f"{name}: 1 or more expected, got {getattr(self, name)}")
-        if not 2 <= len(self.robots) == len(set(self.robots)) <= MOST_ROBOTS:
-            names = ", ".join(map(str, self.robots)) or "none"
-            raise BadInput(f"robots: 2 to {MOST_ROBOTS} different names expected, got {names}")
+        if not 2 <= len(self.robots) <= MOST_ROBOTS:
+            raise BadInput(f"robots: 2 to {MOST_ROBOTS} names expected, got {len(self.robots)}")
         for name in self.robots:
             if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", name):
-                raise BadInput(f"robots: names of up to 40 letters, digits, - and _ expected, got {name!r}")
+                raise BadInput(f"robots: names of up to 40 letters, digits, - and _ expected, got {shown(name)}")
+        if len({name.lower() for name in self.robots}) < len(self.robots):  # they are names of files, too
+            raise BadInput(f"robots: names that differ in more than case expected, got {', '.join(self.robots)}")

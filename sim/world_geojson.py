@@ -26,14 +26,16 @@ def read_json(path: Path):
 def parse_world(data, where: str) -> tuple[list, dict, tuple[Patch, ...]]:
     """The coordinates of the one polygon, the properties of its feature, and the slippery patches beside it."""
     _require_object(data, where)
-    features = _list(data, "features", where) if data.get("type") == "FeatureCollection" else [data]
+    numbered = [(where, data)]
+    if data.get("type") == "FeatureCollection":
+        numbered = [(f"{where}: feature {i}", each) for i, each in enumerate(_list(data, "features", where))]
     polygons, patches = [], []
-    for number, feature in enumerate(features):
-        _require_object(feature, where)
+    for place, feature in numbered:
+        _require_object(feature, place)
         if is_patch(feature):
-            patches.append(parse_patch(feature, f"{where}: feature {number} (slippery)"))
+            patches.append(parse_patch(feature, f"{place} (slippery)"))
         else:
-            polygons += _polygons(feature, where)
+            polygons += _polygons(feature, place)
     if len(polygons) != 1:
         raise BadInput(f"{where}: {len(polygons) or 'no'} polygons found; exactly one expected")
     return *polygons[0], tuple(patches)
@@ -56,10 +58,16 @@ def _polygons(data, where: str) -> list[tuple[list, dict]]:
         properties = data.get("properties") or {}
         if not isinstance(properties, dict):
             raise BadInput(f"{where}: properties are {short(properties)}; an object expected")
+        if properties.get("kind") is not None:
+            raise BadInput(
+                f'{where}: properties.kind is {short(properties["kind"])}; kind must be "slippery" or absent'
+            )
         data = data.get("geometry") or {}
         _require_object(data, where)
     if data.get("type") == "Polygon":
         return [(_list(data, "coordinates", where), properties)]
+    if data.get("type") == "FeatureCollection":
+        raise BadInput(f"{where}: is a FeatureCollection in another; a Feature expected")
     if data.get("type") == "MultiPolygon":
         return [(coordinates, properties) for coordinates in _list(data, "coordinates", where)]
     return []

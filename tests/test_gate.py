@@ -324,7 +324,12 @@ def test_what_the_timeline_drops_and_other_fixes_are_not_the_gate_s_matter():
 
 
 def test_nonsense_settings_are_refused_and_infinity_means_no_gate():
-    for nonsense in ({"distance_sq_max": 0.0}, {"distance_sq_max": np.nan}, {"margin_sq": -1.0}):
+    for nonsense in (
+        {"distance_sq_max": 0.0},
+        {"distance_sq_max": np.nan},
+        {"margin_sq": -1.0},
+        {"numerical_sigma": 1e4},
+    ):
         with pytest.raises(BadInput, match=next(iter(nonsense))):
             GateSettings(**nonsense)
     assert began(drive(1.0), fix(1.0, Pose2(-2.0, 5.0, 2.0)), gate=OFF).timeline.dropped == {}

@@ -78,7 +78,10 @@ def test_what_a_walk_over_a_patch_adds_up_to_does_not_depend_on_the_steps():
 
 
 def test_patches_are_read_and_written_again(tmp_path):
-    data = collection(slippery(noise_factor=3), slippery([RING[::-1]], noise_factor=0.5, units="m"))
+    data = collection(
+        slippery(noise_factor=3, name="ice", description="at the door"),
+        slippery([RING[::-1]], noise_factor=0.5, units="m"),
+    )
     world = world_from_geojson(data)
     assert [patch.noise_factor for patch in world.patches] == [3.0, 0.5]
     assert [patch.ring.tolist() for patch in world.patches] == [RING[:-1], RING[:0:-1]]
@@ -92,7 +95,12 @@ def test_patches_are_read_and_written_again(tmp_path):
 
 
 BAD_PATCHES = {
-    "no factor": (slippery(), "properties.noise_factor is None; a number more than zero and at most 100 expected"),
+    "no factor": (slippery(), "noise_factor is missing; a number more than zero and at most 100 expected"),
+    "null": (slippery(noise_factor=None), "properties.noise_factor is None; a number more than zero and at most 100"),
+    "misspelt": (
+        slippery(noise_facter=3),
+        "unknown property 'noise_facter'; known properties: kind, noise_factor, name, description, units",
+    ),
     "text": (slippery(noise_factor="3"), "properties.noise_factor is '3'"),
     "true": (slippery(noise_factor=True), "properties.noise_factor is True"),
     "zero": (slippery(noise_factor=0), "properties.noise_factor is 0"),

@@ -204,6 +204,12 @@ def test_only_full_poses_between_robots_are_in_question():
 
 
 def test_nonsense_settings_are_refused():
-    for nonsense in ({"distance_sq_max": 0.0}, {"mu_factor": 1.0}, {"iterations": 0}):
+    for nonsense in (
+        {"distance_sq_max": 0.0},
+        {"mu_factor": 1.0},
+        {"mu_factor": 1e3},
+        {"iterations": 0},
+        {"iterations": 10**4},
+    ):
         with pytest.raises(BadInput, match=next(iter(nonsense))):
             RobustSettings(**nonsense)

@@ -86,6 +86,11 @@ values = [
     assert twice.true_noise.odometry.rotation_sigma_rad == radians(20)
 
 
+TWO_LABELS = """
+[[axes]]
+name = "a"
+values = [{label = "one two", budget.moves = 3}, {label = " one\t two ", budget.moves = 4}]
+"""
 BAD = [
     ("sedes = 3", ["'sedes'", "known keys", "worlds"]),
     ("[base]\nsped = 3", ["[base]", "'sped'", "known keys", "budget"]),
@@ -110,6 +115,13 @@ BAD = [
     ('[[axes]]\nname = "a"\nscale = ["true_noise"]\nvalues = [-1]', ["factor"]),
     ('[[axes]]\nname = "a"\nsettings = ["noise"]\nvalues = [1]', ["'settings'", "known keys"]),
     ('[axes]\nnoise = ["typical", "legged"]\n[base.true_noise]\n[base.believed_noise]', ["the same run"]),
+    ('[axes]\nnoise = ["typical", " typical"]', ["each one once"]),
+    (TWO_LABELS, ["each one once", "one two, one two"]),
+    ('[[axes]]\nname = "a  b"\nsetting = "noise"\nvalues = ["none"]\n' * 2, ["noise is changed", "'a b' and 'a b'"]),
+    ('[[axes]]\nname = "a"\nscale = ["budget.moves"]\nvalues = [1.5e-5]', ["moves counts", "whole"]),
+    ('[[axes]]\nname = "a"\nscale = ["team"]\nvalues = [1.1]', ["scale: team", "no whole number"]),
+    (f'[[axes]]\nname = "a"\nscale = ["budget.moves"]\nvalues = [{10**400}]', ["factor", "..."]),
+    (f'[[axes]]\nname = "a"\nvalues = [{{label = "b", at = {10**400}, budget.moves = 3}}]', ["finite", "..."]),
 ]
 
 
@@ -134,11 +146,53 @@ def test_a_bad_study_is_said_with_file_and_key(text, words, tmp_path):
             for seeds in ("0", "-1", "true", "[]", "[1.5]")
         ],
         ('name = "s"\nworlds = ["comb"]\nseeds = [3, 3]\n', "seeds"),
+        ('name = "s"\nworlds = ["comb"]\nseeds = 100000000\n', "1000000 runs expected .*, got 100000000"),
+        (f'name = "s"\nworlds = ["comb"]\nseeds = {10**400}\n', r"runs expected .*, got 10+\.\.\."),
+        ('name = "s"\nworlds = ["comb", "pillars"]\nseeds = 600000\n', "got 1200000"),
     ],
 )
 def test_bad_worlds_and_seeds(head, word, tmp_path):
     with pytest.raises(BadInput, match=word):
         study(tmp_path, "", head)
+
+
+def test_bad_values_are_quoted_in_part(tmp_path):
+    long = "x" * 500
+    for text in (
+        f'axes = "{long}"',
+        f'[[axes]]\nname = "a"\nvalues = ["{long}"]',
+        f'[[axes]]\nname = "a"\nscale = ["{long}"]\nvalues = [2]',
+        f'[[axes]]\nname = "{long}"\nscale = ["true_noise"]\nvalues = ["{long}"]',
+        f'[axes]\n"noise.{long}" = [1]',
+        f'[axes]\n"{long}" = [1, 1]',
+    ):
+        with pytest.raises(BadInput) as caught:
+            study(tmp_path, text)
+        said = str(caught.value).replace(str(tmp_path), "")
+        assert "x" * 50 in said and "x" * 61 not in said, said
+    with pytest.raises(BadInput, match=r"seeds: .*, got \['x{55}\.\.\.$"):
+        study(tmp_path, "", f'name = "s"\nseeds = ["{long}"]\nworlds = ["comb"]\n')
+
+
+def test_two_names_for_one_world_are_refused(tmp_path):
+    (tmp_path / "mine.geojson").write_text(json.dumps(load_world("comb").to_geojson()), encoding="utf-8")
+    with pytest.raises(BadInput, match=r"s\.toml: worlds 'comb' and 'mine' are the same"):
+        study(tmp_path, "", 'name = "s"\nseeds = 2\nworlds = ["comb", "mine.geojson"]\n')
+
+
+def test_a_count_scales_to_whole_numbers(tmp_path):
+    text = '[[axes]]\nname = "a"\nscale = ["budget.moves"]\nvalues = [0.29, 2]'
+    moves = [settings_of(run).budget.moves for run in study(tmp_path, text).runs[:2]]
+    assert moves == [29_000, 200_000]
+    text = '[base]\nbudget.moves = 100\n[[axes]]\nname = "a"\nscale = ["budget.moves"]\nvalues = [0.29]'
+    assert 100 * 0.29 != 29  # in binary
+    assert settings_of(study(tmp_path, text).runs[0]).budget.moves == 29
+
+
+def test_names_and_labels_have_single_spaces(tmp_path):
+    text = '[[axes]]\nname = " a\\n b "\nvalues = [{label = "x\\t y ", budget.moves = 3}]'
+    (axis,) = study(tmp_path, text, HEAD.replace('"s"', '" my  study"')).axes
+    assert (axis.name, axis.values[0].label) == ("a b", "x y")
 
 
 def test_worlds_are_relative_to_the_study_and_known_by_content(tmp_path):

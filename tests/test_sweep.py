@@ -18,8 +18,8 @@ import sweep  # noqa: E402
 from _cli import run  # noqa: E402
 from _exploration import prepare  # noqa: E402
 from _study import load_study  # noqa: E402
+from _study_files import only_sweep  # noqa: E402
 from _study_run import job_of, run_job  # noqa: E402
-from _study_table import only_sweep  # noqa: E402
 
 STUDY = """
 name = "small"
@@ -241,7 +241,7 @@ def test_an_axis_with_the_name_of_a_column_is_refused(tmp_path, study, capsys):
     axis = '[[axes]]\nname = "success"\nsetting = "noise"\nvalues = ["none"]\n'
     study.write_text(STUDY.split("[axes]")[0] + axis, encoding="utf-8")
     assert call(study, "--out", tmp_path / "out") == 2
-    require_one_line(capsys.readouterr().err, "'success'", "column")
+    require_one_line(capsys.readouterr().err, "small.toml", "'success'", "column")
 
 
 def test_an_interrupt_keeps_what_is_done(tmp_path, study, monkeypatch, here, capsys):

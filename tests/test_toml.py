@@ -92,33 +92,40 @@ def test_a_none_that_toml_cannot_say_is_refused():
         ("wrld = 'w'", "c.toml: unknown key 'wrld'; known keys: world, seed, verbose"),
         ("world = 3", "c.toml: world: expected text, got 3"),
         ("world = 'w'\nseed = 1.5", "c.toml: seed: expected integer, got 1.5"),
+        (
+            "world = 'w'\nseed = 9223372036854775808",
+            "c.toml: seed: expected integer of 64 bits, got 9223372036854775808",
+        ),
+        (f"world = 'w'\nseed = 0x{'f' * 5000}", "c.toml: seed: expected integer of 64 bits, got a number without end"),
+        (f"world = 'w'\nseed = '{'x' * 5000}'", f"c.toml: seed: expected integer, got '{'x' * 56}..."),
+        (f"world = 'w'\n{'x' * 5000} = 1", f"c.toml: unknown key '{'x' * 56}...; known keys"),
         ("world = 'w'\nseed = true", "c.toml: seed: expected integer, got True"),
         ("world = 'w'\nverbose = 1", "c.toml: verbose: expected true or false, got 1"),
         ("world = 'w'\nstrategy = 'far'", "c.toml: strategy: expected one of 'nearest', 'depth-first', got 'far'"),
         ("world = 'w'\nfigures = ['all']", "c.toml: figures: expected one of 'none', 'static', got ['all']"),
         ("world = 'w'\nrobots = 'ab'", "c.toml: robots: expected a list, got 'ab'"),
         ("world = 'w'\nsensors = 3", "c.toml: [sensors] expected a table, got 3"),
-        ("world = 'w'\nspeeds.a = 'fast'", "c.toml: [speeds] a: expected number, got 'fast'"),
-        ("world = 'w'\n[sensors]\nbias = [1, 2, 3]", "c.toml: [sensors] bias: expected a list of 2, got [1, 2, 3]"),
+        ("world = 'w'\nspeeds.a = 'fast'", "c.toml: speeds.a: expected number, got 'fast'"),
+        ("world = 'w'\n[sensors]\nbias = [1, 2, 3]", "c.toml: sensors.bias: expected a list of 2, got [1, 2, 3]"),
         (
             "world = 'w'\n[sensors.tracker]\nrange = 1",
             "c.toml: [sensors.tracker] unknown key 'range'; known keys: range_",
         ),
         (
             "world = 'w'\n[sensors.tracker]\nrange_sigma_m = 'abc'",
-            "c.toml: [sensors.tracker] range_sigma_m: expected number, got 'abc'",
+            "c.toml: sensors.tracker.range_sigma_m: expected number, got 'abc'",
         ),
         (
             "world = 'w'\n[sensors.tracker]\nrange_sigma_m = true",
-            "c.toml: [sensors.tracker] range_sigma_m: expected number, got True",
+            "c.toml: sensors.tracker.range_sigma_m: expected number, got True",
         ),
         (
             "world = 'w'\n[sensors.tracker]\nmax_range_m = nan",
-            "c.toml: [sensors.tracker] max_range_m: expected finite number, got nan",
+            "c.toml: sensors.tracker.max_range_m: expected finite number, got nan",
         ),
         (
             "world = 'w'\n[sensors.tracker]\nrange_sigma_m = -1",
-            "c.toml: [sensors.tracker] range_sigma_m is -1.0; more than zero expected",
+            "c.toml: sensors.tracker.range_sigma_m is -1.0; more than zero expected",
         ),
     ],
 )
@@ -155,3 +162,24 @@ def test_files(tmp_path):
         load_toml(tmp_path / "none.toml")
     (tmp_path / "c.toml").write_text(dump_toml(to_mapping(FULL)), encoding="utf-8")
     assert load_toml(tmp_path / "c.toml") == to_mapping(FULL)
+
+
+@dataclass(frozen=True)
+class Gate:
+    limit: float = field(default=9.0, metadata={"infinite": True})
+    reach_m: float = 1.0
+
+
+def test_infinity_is_read_and_written_where_it_means_something():
+    gate = from_mapping(Gate, tomllib.loads("limit = inf"), "c.toml")
+    assert gate == Gate(np.inf)
+    assert dump_toml(to_mapping(gate)) == "limit = inf\nreach_m = 1.0\n"
+    assert from_mapping(Gate, tomllib.loads(dump_toml(to_mapping(gate))), "c.toml") == gate
+    for text in ("limit = -inf", "limit = nan", "reach_m = inf"):
+        with pytest.raises(BadInput, match=f"c.toml: {text.split()[0]}: expected finite number"):
+            from_mapping(Gate, tomllib.loads(text), "c.toml")
+
+
+def test_a_byte_order_mark_is_no_part_of_the_settings(tmp_path):
+    (tmp_path / "c.toml").write_text("seed = 3\n", encoding="utf-8-sig")
+    assert load_toml(tmp_path / "c.toml") == {"seed": 3}

@@ -192,6 +192,29 @@ BAD_WORLDS = {
         {"type": "MultiPolygon", "coordinates": [[OUTER], [shifted(OUTER, 9, 0)]]},
         "2 polygons found; exactly one expected",
     ),
+    "null feature": (
+        {"type": "FeatureCollection", "features": [feature(polygon(OUTER)), None]},
+        "feature 1: None found; a GeoJSON object expected",
+    ),
+    "text feature": (
+        {"type": "FeatureCollection", "features": [feature(polygon(OUTER)), "a wall"]},
+        "feature 1: 'a wall' found; a GeoJSON object expected",
+    ),
+    "kind": (
+        {"type": "FeatureCollection", "features": [feature(polygon(OUTER)), feature(polygon(HOLE), kind="slipery")]},
+        "feature 1: properties.kind is 'slipery'; kind must be \"slippery\" or absent",
+    ),
+    "kind of the world": (feature(polygon(OUTER), kind="room"), "properties.kind is 'room'; kind must be"),
+    "nested collection": (
+        {
+            "type": "FeatureCollection",
+            "features": [
+                feature(polygon(OUTER)),
+                {"type": "FeatureCollection", "features": [feature(polygon(HOLE), kind="slippery", noise_factor=2)]},
+            ],
+        },
+        "feature 1: is a FeatureCollection in another; a Feature expected",
+    ),
     "name": (feature(polygon(OUTER), name=3), "properties.name is 3; text expected"),
     "no coordinates": ({"type": "Polygon"}, "Polygon has coordinates None; a list expected"),
     "no rings": (polygon(), "the polygon has no rings; a list of closed rings expected"),

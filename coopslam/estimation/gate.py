@@ -30,12 +30,14 @@ Pair = tuple[str, str]
 class GateSettings:
     """When a fix is refused. Distances are squared Mahalanobis distances with 3 degrees of freedom."""
 
-    distance_sq_max: float = 30.7  # one good fix in a million is further from an honest prediction; inf: no gate
+    # One good fix in a million is further from an honest prediction; inf: no gate.
+    distance_sq_max: float = field(default=30.7, metadata={"infinite": True})
     margin_sq: float = 10.0  # of two that contradict each other, the nearer one is believed at odds of exp(10 / 2)
     numerical_sigma: float = 1e-4  # m and rad: how far a smoother of nearly exact sensors is off by itself
 
     def __post_init__(self):
-        require_positive(margin_sq=self.margin_sq, numerical_sigma=self.numerical_sigma)
+        require_positive(margin_sq=self.margin_sq)
+        require_positive(1e3, numerical_sigma=self.numerical_sigma)
         if not self.distance_sq_max > 0:
             raise BadInput(f"distance_sq_max: more than zero expected, got {self.distance_sq_max}")
 

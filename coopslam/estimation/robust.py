@@ -8,13 +8,13 @@ over those that count, stays honest; losses such as Huber's or Cauchy's take wei
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import compress
 
 import gtsam
 import numpy as np
 
-from coopslam.errors import require_positive
+from coopslam.errors import BadInput, require_between
 from coopslam.estimation.batch import optimize, solve_batch
 from coopslam.estimation.keys import robot_index
 
@@ -26,12 +26,17 @@ _ROUNDS_MAX = 10  # of choosing the inliers of a solution and solving again
 class RobustSettings:
     """Which fixes count, and how gradually that is decided."""
 
-    distance_sq_max: float = 25.9  # c^2, 3 degrees of freedom: one good fix in a hundred thousand is beyond
+    # c^2, 3 degrees of freedom: one good fix in a hundred thousand is beyond; inf: every fix in the graph counts.
+    distance_sq_max: float = field(default=25.9, metadata={"infinite": True})
     mu_factor: float = 2.0  # between two steps; the paper's 1.4 finds the same in twice the time
     iterations: int = 1  # of Levenberg-Marquardt at each step
 
     def __post_init__(self):
-        require_positive(distance_sq_max=self.distance_sq_max, mu_factor=self.mu_factor - 1, iterations=self.iterations)
+        if not self.distance_sq_max > 0:
+            raise BadInput(f"distance_sq_max: more than zero expected, got {self.distance_sq_max}")
+        if not 1 < self.mu_factor <= 100:
+            raise BadInput(f"mu_factor: more than 1 and at most 100 expected, got {self.mu_factor}")
+        require_between(1, 1000, iterations=self.iterations)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,6 +24,7 @@ class ChartSettings:
 
     def __post_init__(self):
         require_positive(
+            1e6,
             angle_sigmas=self.angle_sigmas,
             place_sigmas=self.place_sigmas,
             sector_slack_max_rad=self.sector_slack_max_rad,

@@ -31,11 +31,10 @@ class Budget:
     travel_m: float = 1e7
 
     def __post_init__(self):
-        if not (self.moves > 0 and 0 < self.travel_m < inf):
-            raise BadInput(
-                f"a budget of {self.moves} moves and {self.travel_m:g} m: more than zero of each expected, "
-                "and metres that are finite"
-            )
+        if not self.moves > 0:
+            raise BadInput(f"moves: more than zero expected, got {self.moves}")
+        if not 0 < self.travel_m < inf:
+            raise BadInput(f"travel_m: more than zero and finite expected, got {self.travel_m:g}")
 
 
 @dataclass(frozen=True, slots=True)

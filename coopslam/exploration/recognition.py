@@ -11,7 +11,7 @@ from math import inf, log, pi
 
 import numpy as np
 
-from coopslam.errors import require_positive
+from coopslam.errors import require_between, require_positive
 from coopslam.estimation.estimate import Estimate
 from coopslam.exploration.chart import Chart, outside
 from coopslam.exploration.free_map import FreeMap, Sector
@@ -34,10 +34,11 @@ class RecognitionSettings:
     search_sigmas: float = 10.0
 
     def __post_init__(self):
+        require_between(1e-3, 1e3, crowd_radius_m=self.crowd_radius_m)
         require_positive(
+            1e6,
             margin_log_odds=self.margin_log_odds,
             corners_per_m2=self.corners_per_m2,
-            crowd_radius_m=self.crowd_radius_m,
             distance_sq_max=self.distance_sq_max,
             contradiction_sq=self.contradiction_sq,
             angle_sigmas=self.angle_sigmas,

@@ -1,13 +1,15 @@
 """Settings: TOML files to and from nested frozen dataclasses; an unknown key or a wrong type is said with its place.
 
-TOML has no null: a setting that is None is left out, which is why its default must be None.
+TOML has no null: a setting that is None is left out, which is why its default must be None. A field of a dataclass may
+be `inf` when its metadata says {"infinite": True}.
 """
 
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -15,17 +17,18 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 import numpy as np
 import tomli_w
 
-from coopslam.errors import BadInput, CoopSlamError
+from coopslam.errors import BadInput, CoopSlamError, shown
 
 T = TypeVar("T")
 
+_LARGEST_INTEGER = 2**63 - 1  # that TOML promises to carry
 _SCALARS = {float: "number", int: "integer", bool: "true or false", str: "text"}
 
 
 def load_toml(path: str | Path) -> dict[str, Any]:
     """What a TOML file holds. Raises BadInput with file and line."""
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise BadInput(f"{path}: cannot read the settings: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -44,7 +47,7 @@ def from_mapping(cls: type[T], mapping: Mapping[str, Any], where: str) -> T:
 
     where: the file, for messages. Fields may be float, int, bool, str, Enum, Literal, dataclasses, tuples, lists and
     dicts of these, or any of them | None. Raises BadInput for an unknown or missing key, a wrong type, a number that
-    is not finite, and for whatever the dataclass itself refuses.
+    is not finite, and for whatever the dataclass itself refuses: one line with the file and the dotted key.
     """
     return _build(cls, mapping, where, ())
 
@@ -67,19 +70,26 @@ def to_mapping(settings) -> dict[str, Any]:
 def _build(cls, mapping, where: str, path: tuple[str, ...]):
     place = _section(where, path)
     if not isinstance(mapping, Mapping):
-        raise BadInput(f"{place} expected a table, got {mapping!r}")
+        raise BadInput(f"{place} expected a table, got {shown(mapping)}")
     known = {field.name: field for field in fields(cls) if field.init}
     for key in mapping:
         if key not in known:
-            raise BadInput(f"{place} unknown key {key!r}; known keys: {', '.join(known)}")
+            raise BadInput(f"{place} unknown key {shown(key)}; known keys: {', '.join(known)}")
     for name, field in known.items():
         if name not in mapping and field.default is MISSING and field.default_factory is MISSING:
             raise BadInput(f"{place} no key {name!r}; expected {', '.join(known)}")
     hints = get_type_hints(cls)
-    values = {key: _convert(hints[key], value, where, (*path, key)) for key, value in mapping.items()}
+    values = {}
+    for key, value in mapping.items():
+        if known[key].metadata.get("infinite") and type(value) is float and value == inf:
+            values[key] = value
+        else:
+            values[key] = _convert(hints[key], value, where, (*path, key))
     try:
         return cls(**values)
     except CoopSlamError as error:
+        if re.match(r"\w*", str(error)).group() in known:
+            raise BadInput(f"{where}: {''.join(f'{table}.' for table in path)}{error}") from error
         raise BadInput(f"{place} {error}") from error
 
 
@@ -122,6 +132,8 @@ def _scalar(kind: type, value, where: str, path: tuple[str, ...]):
         raise _wrong(_SCALARS[kind], value, where, path)
     if kind is float and not (abs(value) < 1e308 if type(value) is int else isfinite(value)):
         raise _wrong("finite number", value, where, path)
+    if kind is int and abs(value) > _LARGEST_INTEGER:
+        raise _wrong("integer of 64 bits", value, where, path)
     return kind(value)
 
 
@@ -133,7 +145,7 @@ def _choice(choices: list, value, where: str, path: tuple[str, ...]):
 
 
 def _wrong(expected: str, value, where: str, path: tuple[str, ...]) -> BadInput:
-    return BadInput(f"{_section(where, path[:-1])} {path[-1]}: expected {expected}, got {value!r}")
+    return BadInput(f"{where}: {'.'.join(path)}: expected {expected}, got {shown(value)}")
 
 
 def _section(where: str, path: tuple[str, ...]) -> str:
