@@ -15,7 +15,7 @@ def draw_exchanges(table: np.ndarray, path: Path) -> None:
     Before the first exchange the standing robot is the origin; nothing is drawn of that.
     """
     table = table[table[:, 2] > 0]
-    figure = Figure(figsize=(canvas.WIDTH_IN, 4.6), layout="constrained")
+    figure = Figure(figsize=(canvas.WIDTH_IN, 4.9), layout="constrained")
     figure.suptitle("How well the standing robot's position is known", fontsize=canvas.TITLE_PT + 1)
     left, right = figure.subplots(1, 2, sharey=True)
     handles = []
@@ -37,7 +37,7 @@ def draw_exchanges(table: np.ndarray, path: Path) -> None:
     left.set_yscale("log")
     for axes in (left, right):
         axes.grid(True, color="#dddddd", lw=0.5)
-    canvas.legend_below(figure, handles, columns=5)
+    canvas.legend_below(figure, handles, columns=3)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150)
 
