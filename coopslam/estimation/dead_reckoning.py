@@ -11,7 +11,8 @@ from coopslam.estimation.estimate import Estimate
 from coopslam.estimation.factors import GAUGE_SIGMA
 from coopslam.estimation.gate import Gate, GateSettings
 from coopslam.estimation.keys import pose_key
-from coopslam.estimation.timeline import Edge, Timeline
+from coopslam.estimation.timeline import Timeline
+from coopslam.estimation.tracks import Edge
 from coopslam.records import Record
 from coopslam.se2 import Pose2, adjoint, chain_covariance
 
