@@ -270,7 +270,7 @@ def small_log(tmp_path_factory):
     return write(tmp_path_factory.mktemp("log") / "log.mcap", some_records(3))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(place=st.floats(0, 1, exclude_max=True), flip=st.integers(1, 255), truncated=st.booleans())
 def test_a_damaged_byte_never_passes_for_data(small_log, place, flip, truncated):
     data = bytearray(small_log.read_bytes())
@@ -288,7 +288,7 @@ def test_a_damaged_byte_never_passes_for_data(small_log, place, flip, truncated)
     assert truncated or header == HEADER
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(data=st.binary(max_size=300), magic=st.booleans(), truncated=st.booleans())
 def test_random_bytes_are_refused(tmp_path_factory, data, magic, truncated):
     path = tmp_path_factory.getbasetemp() / "random.mcap"
