@@ -152,10 +152,7 @@ def _print_run(row: dict) -> None:
 
 def _print_table(rows: list[dict], strategies: list[str]) -> None:
     print("\nmedians; metres by kind are over the perimeter")
-    print(
-        f"{'strategy':15s} {'good':>7s} "
-        + "".join(f"{name:>10s}" if len(name) > 7 else f"{name:>8s}" for name in COLUMNS)
-    )
+    print(f"{'strategy':15s} {'good':>7s} " + "".join(f"{name:>{_width(name)}s}" for name in COLUMNS))
     for strategy in strategies:
         mine = [row for row in rows if row["strategy"] == strategy]
         good = [row for row in mine if row["success"]]
