@@ -48,6 +48,8 @@ class Navigation:
             return (yield from self._go_to(mover, target, watcher, alone)), "found where it should be"
         side = Side.RIGHT if self.crew.free_map.wall_leaving(start) == target else Side.LEFT
         step = yield from self.crew.follow_to_end(FollowWall(mover, watcher, side, alone=alone))
+        if step.ended == MoveEnd.CONTACT:  # the map is a little off; along a known wall nobody goes astray
+            step = yield from self.crew.go(FollowWall(mover, watcher, side, alone=True))
         if step.corner is None:
             raise Stuck(f"{mover} followed the wall from vertex {start} to {target} and ended with {step.ended}")
         return step, "end of a known wall"
