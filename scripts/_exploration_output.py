@@ -195,6 +195,7 @@ def view_of(run: Exploration) -> RunView:
             for p in mission.history
         ],
         true_rings=[at_start(ring) for ring in run.world.rings],
+        slippery=[at_start(patch.ring) for patch in run.world.patches],
         true_vertices={v: at_start([position(run.truth.corners[c])])[0] for v, c in run.truth.corner_of.items()},
         story=story_of(run.records, run.settings.team.robots[:2]),
         stamps_s=stamps_s,

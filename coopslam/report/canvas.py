@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
+from matplotlib.patches import Patch, Polygon
 
 from coopslam.report.run_view import RunView
 
@@ -20,6 +20,8 @@ INK, MUTED, TRUE_WALL, DIAGONAL = "#222222", "#707070", "#9a9a9a", "#93a8b8"
 ROBOTS = (BLUE, VERMILLION, SKY, PURPLE, ORANGE, GREEN)
 GATE, GRAPH, CONTACT = GREEN, PURPLE, ORANGE  # open gates; the dual graph; the line of visual contact
 GATE_DASHES = (0, (3, 1.5))
+
+SLIPPERY = {"facecolor": "none", "edgecolor": "#b9a36a", "hatch": "//", "linewidth": 0.0}
 
 LABELLED_AT_MOST = 60  # vertices or triangles; more ids than that would cover the picture
 DENSE = 200  # vertices; beyond this figures are drawn with more pixels
@@ -134,9 +136,17 @@ def draw_floor(axes: Axes, view: RunView, outline: bool = True) -> None:
     edge = TRUE_WALL if outline else SOLID
     width = 1.7 * Sizes.for_count(sum(map(len, view.true_rings))).wall if outline else 0.5
     outer, *holes = view.true_rings
-    axes.add_patch(Polygon(outer, facecolor=FREE, edgecolor=edge, linewidth=width, zorder=0.5, joinstyle="round"))
+    floor = Polygon(outer, facecolor=FREE, edgecolor=edge, linewidth=width, zorder=0.5, joinstyle="round")
+    axes.add_patch(floor)
+    for ring in view.slippery:
+        axes.add_patch(Polygon(ring, **SLIPPERY, zorder=1.1, clip_path=floor))
     for hole in holes:
         axes.add_patch(Polygon(hole, facecolor=SOLID, edgecolor=edge, linewidth=width, zorder=1.2, joinstyle="round"))
+
+
+def ground_handles(view: RunView) -> list[Patch]:
+    """What the legend says of the ground."""
+    return [Patch(**SLIPPERY, label="slippery ground")] if view.slippery else []
 
 
 def draw_triangles(

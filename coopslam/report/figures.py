@@ -71,7 +71,7 @@ def draw_map(view: RunView) -> Figure:
     if view.true_rings:
         handles.insert(1, Line2D([], [], color=canvas.TRUE_WALL, lw=1.7 * sizes.wall, label="true wall"))
         handles.append(Patch(facecolor=canvas.MAPPED, edgecolor=canvas.DIAGONAL, label="free space found"))
-    canvas.legend_below(figure, handles)
+    canvas.legend_below(figure, handles + canvas.ground_handles(view))
     return figure
 
 
@@ -162,7 +162,7 @@ def draw_trajectories(view: RunView) -> Figure:
     handles = [Line2D([], [], label=PATH_STYLES[kind][0], **PATH_STYLES[kind][1]) for kind in drawn]
     handles.append(Line2D([], [], color=canvas.GREEN, marker="o", ls="", markersize=8, mec="white", label="start"))
     handles.append(Line2D([], [], color=INK, marker="s", ls="", markersize=7, mec="white", label="end"))
-    canvas.legend_below(figure, handles, columns=6)
+    canvas.legend_below(figure, handles + canvas.ground_handles(view), columns=6)
     return figure
 
 
@@ -221,7 +221,7 @@ def draw_dual_graph(view: RunView) -> Figure:
         handles.append(Line2D([], [], color=canvas.GATE, lw=sizes.wall, ls=canvas.GATE_DASHES, label="gate still open"))
     if nodes:
         _draw_nodes(figure, axes, view, np.array(list(centroid.values())), sizes)
-    canvas.legend_below(figure, handles)
+    canvas.legend_below(figure, handles + canvas.ground_handles(view))
     return figure
 
 

@@ -34,6 +34,7 @@ class RunView:
     paths: dict[str, dict[str, np.ndarray]]  # "dead-reckoning" | "causal" | "smoothed" | "true" -> robot -> (N, 2)
     history: list[UncertaintyPoint]
     true_rings: list[np.ndarray] = field(default_factory=list)  # (n_i, 2) each, ring 0 the outer boundary
+    slippery: list[np.ndarray] = field(default_factory=list)  # (n_i, 2) each: outlines of slippery ground
     true_vertices: dict[int, np.ndarray] = field(default_factory=dict)  # map vertex id -> (2,)
     story: Story = field(default_factory=lambda: Story((), (), (), {}))
     stamps_s: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)  # of the paths: kind -> robot -> (N,)
