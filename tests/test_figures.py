@@ -93,6 +93,20 @@ def test_open_gates_have_one_colour_in_all_figures():
         assert gate.get_color() == GATE
 
 
+def test_slippery_ground_is_hatched_in_every_plan_and_named():
+    """Two outlines, drawn in each panel; a world without any says nothing of it."""
+    dry = strip_view(12)
+    patches = [np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]), np.array([[2.0, 0.0], [3.0, 0.0], [3.0, 1.0]])]
+    wet = dataclasses.replace(dry, slippery=patches)
+    for draw in (draw_map, draw_trajectories, draw_dual_graph):
+        for view, count in ((dry, 0), (wet, 2)):
+            figure = draw(view)
+            named = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+            assert named.count("slippery ground") == (count > 0)
+            for axes in (axes for axes in figure.axes if axes.get_xlabel() or axes.get_ylabel() == "y (m)"):
+                assert sum(patch.get_hatch() is not None for patch in axes.patches) == count
+
+
 def test_figures_are_not_blank(drawn):
     for path in drawn:
         picture = matplotlib.image.imread(path)

@@ -73,34 +73,32 @@ def test_an_estimator_that_fails_leaves_a_run_behind(estimator, updates, tmp_pat
     assert (updates == 0) == (not (out / "trajectories" / "robot0.tum").is_file())
 
 
-def test_an_estimate_that_contradicts_the_records_is_not_complete(tmp_path, capsys):
-    """The robots believe that their trackers are fifty times as good as they are."""
-    (tmp_path / "sure.toml").write_text(
-        "[believed_noise.tracker]\nrange_sigma_m = 1e-4\nrange_sigma_per_m = 2e-4\nlateral_sigma_m = 1e-4\n"
-        "bearing_sigma_rad = 7e-5\nheading_sigma_rad = 7e-4",
-        encoding="utf-8",
-    )
+TRACKERS = (  # believed to be fifty times as good as they are
+    "[believed_noise.tracker]\nrange_sigma_m = 1e-4\nrange_sigma_per_m = 2e-4\nlateral_sigma_m = 1e-4\n"
+    "bearing_sigma_rad = 7e-5\nheading_sigma_rad = 7e-4"
+)
+ODOMETRY = (  # a thousand times, and every sighting is believed
+    "[believed_noise.odometry]\ntranslation_sigma_m = 3e-5\ndrift_sigma_rad = 3e-5\nrotation_sigma_rad = 5e-5\n"
+    "[gate]\ndistance_sq_max = 1e9\n[robust]\ndistance_sq_max = 1e9"
+)
+
+
+@pytest.mark.parametrize(
+    ("belief", "doubt"),
+    [
+        (TRACKERS, r"\d+ of \d+ sightings of robots by robots look false"),
+        (ODOMETRY, r"does not explain the records \(chi-square per degree of freedom:"),
+    ],
+)
+def test_an_estimate_that_contradicts_the_records_is_not_complete(belief, doubt, tmp_path, capsys):
+    (tmp_path / "sure.toml").write_text(belief, encoding="utf-8")
     out = tmp_path / "run"
     arguments = ("--config", tmp_path / "sure.toml", "--max-moves", 9, "--figures", "none", "--out", out)
     assert call(*arguments) == 3
     require_one_line(capsys.readouterr().err, "stuck")
     summary = load(out / "summary.json")
     assert summary["outcome"] == "stuck" and summary["noise"] == "custom"
-    assert re.search(r"\d+ of \d+ sightings of robots by robots look false", summary["outcome_reason"])
-
-
-def test_odometry_that_contradicts_everything_else_is_not_complete(tmp_path, capsys):
-    """The robots believe that their odometry is a thousand times as good as it is."""
-    (tmp_path / "sure.toml").write_text(
-        "[believed_noise.odometry]\ntranslation_sigma_m = 3e-5\ndrift_sigma_rad = 3e-5\nrotation_sigma_rad = 5e-5\n"
-        "[gate]\ndistance_sq_max = 1e9\n[robust]\ndistance_sq_max = 1e9",
-        encoding="utf-8",
-    )
-    out = tmp_path / "run"
-    arguments = ("--config", tmp_path / "sure.toml", "--max-moves", 9, "--figures", "none", "--out", out)
-    assert call(*arguments) == 3
-    require_one_line(capsys.readouterr().err, "stuck")
-    assert "(chi-square per degree of freedom:" in load(out / "summary.json")["outcome_reason"]
+    assert re.search(doubt, summary["outcome_reason"])
 
 
 @pytest.mark.parametrize("table", ["true_noise", "believed_noise"])
