@@ -100,6 +100,58 @@ class BearingFix:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LoopClosure:
+    """A robot now in the frame of a robot, itself or another, at an earlier time: what matching two scans gives."""
+
+    earlier_s: float
+    stamp_s: float
+    earlier_robot: str
+    robot: str
+    T_earlier_now: Pose2
+    cov_now: np.ndarray  # (3, 3); axes of the robot at stamp_s
+
+    def __post_init__(self):
+        _check_stamp(self.stamp_s, self.robot)
+        if not isfinite(self.earlier_s) or self.earlier_s > self.stamp_s:
+            raise BadRecord(f"loop closure of {self.robot}: {self.earlier_s:g} s is not before {self.stamp_s:g} s")
+        if self.earlier_s == self.stamp_s and self.earlier_robot == self.robot:
+            raise BadRecord(f"loop closure of {self.robot} with itself at t = {self.stamp_s:.3f} s")
+        _check_pose(self.T_earlier_now, f"loop closure of {self.robot}", self.stamp_s)
+        _check_cov(self.cov_now, 3, f"loop closure of {self.robot}", self.stamp_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosePrior:
+    """Where a robot is in the frame of the first robot's start, from a survey or a satellite receiver."""
+
+    stamp_s: float
+    robot: str
+    T_start_robot: Pose2
+    cov_robot: np.ndarray  # (3, 3); axes of the robot
+
+    def __post_init__(self):
+        _check_stamp(self.stamp_s, self.robot)
+        _check_pose(self.T_start_robot, f"prior of {self.robot}", self.stamp_s)
+        _check_cov(self.cov_robot, 3, f"prior of {self.robot}", self.stamp_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkPrior:
+    """Where a landmark is in the frame of the first robot's start, from a survey."""
+
+    stamp_s: float
+    landmark: str
+    xy: np.ndarray  # (2,), m
+    cov: np.ndarray  # (2, 2); axes of the frame, m^2
+
+    def __post_init__(self):
+        _check_stamp(self.stamp_s, self.landmark)
+        if np.shape(self.xy) != (2,) or not np.isfinite(self.xy).all():
+            raise BadRecord(f"the prior of {self.landmark} is {np.asarray(self.xy).tolist()}; x and y in m expected")
+        _check_cov(self.cov, 2, f"prior of {self.landmark}", self.stamp_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CornerSighting:
     """The short-range finder: a corner as an oriented pose, and its interior (free) angle.
 
@@ -201,7 +253,9 @@ class MoveNote:
         _check_stamp(self.stamp_s, self.robot)
 
 
-Measurement = Odometry | RelativePoseFix | BearingRangeFix | RangeFix | BearingFix | CornerSighting
+Prior = PosePrior | LandmarkPrior
+PointFix = BearingRangeFix | RangeFix | BearingFix  # of a robot or a landmark, without its heading
+Measurement = Odometry | RelativePoseFix | PointFix | LoopClosure | CornerSighting | Prior
 Decision = CornerDecision | CornerEvidence | WallDecision | TriangleDecision
 Record = Measurement | Decision | MoveNote
 
@@ -211,6 +265,7 @@ class LogHeader:
     """What a reader must know before the first record."""
 
     robots: tuple[str, ...]
+    landmarks: tuple[str, ...] = ()  # points that robots see; where they are is unknown
     frame: str = "start pose of the first robot"
     seed: int | None = None
     world: str = ""
@@ -220,6 +275,9 @@ class LogHeader:
     def __post_init__(self):
         if not self.robots or len(set(self.robots)) != len(self.robots):
             raise BadRecord(f"a log needs different robot names, not {self.robots}")
+        names = self.robots + self.landmarks
+        if len(set(names)) != len(names):
+            raise BadRecord(f"a log needs different names for its landmarks {self.landmarks} and robots {self.robots}")
 
 
 def _check_stamp(stamp_s: float, who: str) -> None:

@@ -15,6 +15,16 @@ def vertex_key(vertex: int) -> int:
     return gtsam.symbol("v", vertex)
 
 
+def landmark_key(number: int) -> int:
+    """Key of a landmark of somebody's log (a point), by its place in the list of their names."""
+    return gtsam.symbol("l", number)
+
+
+def is_landmark(key: int) -> bool:
+    """Whether the key is a landmark: a point, where all other variables are poses."""
+    return gtsam.symbolChr(key) == ord("l")
+
+
 def is_vertex(key: int) -> bool:
     """Whether the key is a map vertex."""
     return gtsam.symbolChr(key) == ord("v")
@@ -25,11 +35,13 @@ def robot_index(key: int) -> int | None:
     return gtsam.symbolIndex(key) >> _INDEX_BITS if gtsam.symbolChr(key) == ord("x") else None
 
 
-def describe(key: int, robots=()) -> str:
-    """The key in words: "robot1 pose 17", "vertex 5"; without names "robot #1 pose 17"."""
+def describe(key: int, robots=(), landmarks=()) -> str:
+    """The key in words: "robot1 pose 17", "vertex 5", "landmark 7"; without names "robot #1 pose 17"."""
     letter, index = gtsam.symbolChr(key), gtsam.symbolIndex(key)
     if letter == ord("v"):
         return f"vertex {index}"
+    if letter == ord("l"):
+        return f"landmark {landmarks[index] if index < len(landmarks) else f'#{index}'}"
     robot_index = index >> _INDEX_BITS
     if letter != ord("x"):
         return f"variable {key}"

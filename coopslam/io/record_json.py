@@ -20,8 +20,11 @@ from coopslam.records import (
     CornerDecision,
     CornerEvidence,
     CornerSighting,
+    LandmarkPrior,
+    LoopClosure,
     MoveNote,
     Odometry,
+    PosePrior,
     RangeFix,
     Record,
     RelativePoseFix,
@@ -197,6 +200,19 @@ def _cov(name: str, *axes: str) -> Field:
     return Field(name, f"{name}_{'_'.join(axes)}", schema, say, read)
 
 
+def _point(name: str) -> Field:
+    def say(point) -> str:
+        return f"[{_say_number(point[0])},{_say_number(point[1])}]"
+
+    def read(values) -> np.ndarray:
+        if not isinstance(values, list) or len(values) != 2:
+            raise ValueError(f"expected x and y, got {values!r}")
+        return np.array([number(value) for value in values])
+
+    schema = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
+    return Field(name, name, schema, say, read)
+
+
 def _triple(name: str) -> Field:
     def say(values) -> str:
         return repr([int(value) for value in values])
@@ -245,6 +261,20 @@ KINDS = (
     ),
     Kind("range", RangeFix, (*_PAIR, _float("range_m"), _float("sigma_m"))),
     Kind("bearing", BearingFix, (*_PAIR, _float("bearing_rad"), _float("sigma_rad"))),
+    Kind(
+        "loop_closure",
+        LoopClosure,
+        (
+            _float("earlier_s"),
+            _STAMP,
+            _str("earlier_robot"),
+            _str("robot"),
+            _pose("T_earlier_now"),
+            _cov("cov_now", *_POSE_AXES),
+        ),
+    ),
+    Kind("pose_prior", PosePrior, (_STAMP, _str("robot"), _pose("T_start_robot"), _cov("cov_robot", *_POSE_AXES))),
+    Kind("landmark_prior", LandmarkPrior, (_STAMP, _str("landmark"), _point("xy"), _cov("cov", "x", "y"))),
     _SIGHTING,
     Kind(
         "corner_decision",

@@ -159,6 +159,7 @@ def _read_record(kind: Kind, message: Message, path: Path) -> Record:
 def _header_to_metadata(header: LogHeader) -> dict[str, str]:
     fields = {
         "robots": list(header.robots),
+        "landmarks": list(header.landmarks),
         "frame": header.frame,
         "seed": header.seed,
         "world": header.world,
@@ -181,6 +182,7 @@ def _header_from_metadata(metadata: dict[str, str], path: Path) -> LogHeader:
         fields = {name: parse_json(value) for name, value in metadata.items() if name != "format"}
         return LogHeader(
             robots=tuple(text(robot) for robot in fields["robots"]),
+            landmarks=tuple(text(landmark) for landmark in fields.get("landmarks", [])),
             frame=text(fields["frame"]),
             seed=None if fields["seed"] is None else integer(fields["seed"]),
             world=text(fields["world"]),
