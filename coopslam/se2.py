@@ -119,6 +119,21 @@ def compose_leg(deltas, covariances) -> tuple[Pose2, np.ndarray]:
     return total, cov
 
 
+def fit_pose(points_b: np.ndarray, points_a: np.ndarray, weights: np.ndarray | None = None) -> Pose2:
+    """T_a_b that brings (N, 2) points of frame b closest to their partners in frame a, least squares without scale.
+
+    weights: (N,) of the squares; equal without.  Closed form in the plane (Horn 1987; Umeyama 1991).  Points that
+    all coincide leave the rotation open; it is zero then.
+    """
+    weights = np.ones(len(points_a)) if weights is None else np.asarray(weights)
+    weights = (weights / weights.sum())[:, None]
+    centre_a, centre_b = (weights * points_a).sum(axis=0), (weights * points_b).sum(axis=0)
+    a, b = points_a - centre_a, points_b - centre_b
+    angle = np.arctan2((weights[:, 0] * (b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0])).sum(), (weights * a * b).sum())
+    shift = centre_a - rotation(angle) @ centre_b
+    return Pose2(shift[0], shift[1], angle)
+
+
 def largest_sigma(cov: np.ndarray) -> float:
     """Square root of the largest eigenvalue of a covariance."""
     return float(np.sqrt(max(np.linalg.eigvalsh(cov)[-1], 0.0)))

@@ -161,9 +161,9 @@ def prepare(settings: ExplorationSettings) -> Prepared:
     team = Team(world, sensors, settings.team)
     robots = settings.team.robots
     if settings.estimator == "incremental":
-        driver = Incremental(robots, settings.incremental, settings.gate)
+        driver = Incremental(robots, settings=settings.incremental, gate=settings.gate)
     else:
-        driver = Batch(robots, settings.gate)
+        driver = Batch(robots, gate=settings.gate)
     return Prepared(settings, world, team, driver, Explorer(robots, settings.explorer))
 
 

@@ -27,9 +27,9 @@ POSE_POSE = {
     "bearing": (factors.bearing(A, B, BEARING_FIX), POSE_B),
 }
 POSE_POINT = {
-    "bearing and range": factors.bearing_range(A, B, BEARING_RANGE, target_is_point=True),
-    "range": factors.distance(A, B, RANGE_FIX, target_is_point=True),
-    "bearing": factors.bearing(A, B, BEARING_FIX, target_is_point=True),
+    "bearing and range": factors.bearing_range(A, B, BEARING_RANGE, is_point=True),
+    "range": factors.distance(A, B, RANGE_FIX, is_point=True),
+    "bearing": factors.bearing(A, B, BEARING_FIX, is_point=True),
 }
 
 

@@ -147,7 +147,7 @@ def test_decisions_without_measurement_add_nothing_and_what_is_unusable_is_count
     run.take(BearingRangeFix(0.0, R0, R1, 0.0, 0.0, np.eye(2)))
     assert run.graph.size() == 0
     assert run.timeline.dropped == {"RangeFix: unknown robot": 1, "BearingRangeFix: range zero": 1}
-    with pytest.raises(BadRecord, match="different robot names"):
+    with pytest.raises(BadRecord, match="different names of robots"):
         Timeline(("a", "a"))
 
 

@@ -6,7 +6,14 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from coopslam.errors import BadInput
 from coopslam.estimation.estimate import Trajectory
-from coopslam.evaluation.trajectory_error import align_se2, interpolate_se2, trajectory_error, vertex_rmse
+from coopslam.evaluation.trajectory_error import (
+    align_se2,
+    interpolate_se2,
+    is_covered,
+    team_errors,
+    trajectory_error,
+    vertex_rmse,
+)
 from coopslam.se2 import Pose2, wrap, xytheta
 
 
@@ -85,3 +92,75 @@ def test_what_cannot_be_aligned_is_refused():
     with pytest.raises(BadInput, match="shape"):
         align_se2(np.zeros((3, 2)), np.zeros((4, 2)))
     assert xytheta(align_se2(np.ones((1, 2)), np.zeros((1, 2)))).tolist() == [-1.0, -1.0, 0.0]
+
+
+class CountingPoses(list):
+    """Poses that count how many of them are looked at."""
+
+    looked_at = 0
+
+    def __getitem__(self, index):
+        self.looked_at += 1
+        return super().__getitem__(index)
+
+    def __iter__(self):
+        raise AssertionError("all poses are looked at")
+
+
+def test_of_a_long_truth_only_the_neighbours_are_looked_at():
+    rng = np.random.default_rng(3)
+    truth = random_trajectory(rng, 5000)
+    at_s = np.sort(rng.uniform(0.0, 4999.0, 40))
+    counting = CountingPoses(truth.poses)
+    found = interpolate_se2(truth.stamps_s, counting, at_s)
+    assert counting.looked_at <= 80
+    x = np.interp(at_s, truth.stamps_s, [pose.x() for pose in truth.poses])
+    np.testing.assert_allclose([pose.x() for pose in found], x, atol=1e-9)
+
+
+def test_errors_of_each_robot_after_the_one_alignment():
+    """Two robots on a square, one pushed outwards by 0.1 m, the other inwards by 0.3 m: nothing to align."""
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / np.sqrt(2.0)
+    T = Pose2(3.0, 5.0, 1.0)
+    truth = {name: Trajectory(np.arange(4.0), [T * Pose2(*c, 0.0) for c in corners]) for name in "abc"}
+    pushed = {"a": (1.1, 0.2), "b": (0.7, -0.2)}
+    estimated = {
+        name: Trajectory(np.arange(4.0) + 0.0, [Pose2(*(scale * c), h) for c in corners])
+        for name, (scale, h) in pushed.items()
+    }
+    team = team_errors(estimated, truth)
+    assert team.T_truth_estimate.equals(T, 1e-9) and set(team.robots) == {"a", "b"} and team.without_truth == ()
+    np.testing.assert_allclose(team.robots["a"].position_errors_m, 0.1)
+    np.testing.assert_allclose(team.robots["b"].position_errors_m, 0.3)
+    np.testing.assert_allclose(team.robots["b"].heading_errors_rad, -0.2)
+    assert team.robots["a"].stamps_s.tolist() == [0.0, 1.0, 2.0, 3.0]
+    joined = trajectory_error(estimated, truth)
+    assert joined.ate_rmse_m == pytest.approx(np.sqrt((0.1**2 + 0.3**2) / 2))
+    assert (joined.ate_median_m, joined.ate_max_m) == pytest.approx((0.2, 0.3))
+    assert (joined.heading_median_rad, joined.heading_max_rad) == pytest.approx((0.2, 0.2))
+
+
+def test_robots_without_truth_are_named_and_take_no_part():
+    rng = np.random.default_rng(5)
+    truth = {name: random_trajectory(rng, 10) for name in "abc"}
+    later = Trajectory(truth["c"].stamps_s + 100.0, truth["c"].poses)
+    estimated = {"a": truth["a"], "b": random_trajectory(rng, 10), "c": later}
+    del truth["b"]
+    team = team_errors(estimated, truth)
+    assert set(team.robots) == {"a"} and team.without_truth == ("b", "c") and team.left_out == {"a": 0, "c": 10}
+    assert team.joined.ate_rmse_m < 1e-9
+    with pytest.raises(BadInput, match="none of the estimated poses"):
+        team_errors({"c": later}, truth)
+
+
+def test_gaps_in_the_truth_may_be_left_out():
+    stamps = np.array([0.0, 1.0, 5.0, 6.0])
+    at = [0.0, 0.5, 1.0, 1.5, 4.9, 5.0, 5.0 + 5e-7, 6.0, 6.5]
+    everything = [True] * 8 + [False]
+    assert is_covered(at, stamps).tolist() == everything
+    assert is_covered(at, stamps, gap_max_s=2.0).tolist() == [True, True, True, False, False, True, True, True, False]
+    assert is_covered(at, stamps, gap_max_s=4.0).tolist() == everything
+    truth = Trajectory(stamps, [Pose2(s, 0, 0) for s in stamps])
+    curved = Trajectory(np.arange(7.0), [Pose2(s, 9.0 * (1 < s < 5), 0) for s in range(7)])
+    team = team_errors({"a": curved}, {"a": truth}, gap_max_s=2.0)
+    assert team.left_out == {"a": 3} and team.joined.ate_max_m < 1e-9

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable, Sequence
+from math import inf
 
 import gtsam
 import numpy as np
@@ -10,19 +11,26 @@ from coopslam.estimation import graph_check
 from coopslam.estimation.covariances import Covariances
 from coopslam.estimation.estimate import Estimate
 from coopslam.estimation.gate import Gate, GateSettings
-from coopslam.estimation.timeline import Timeline
+from coopslam.estimation.timeline import Timeline, TimelineSettings
 from coopslam.records import Record
 from coopslam.se2 import Pose2
 
 RELATIVE_TOLERANCE = 1e-9  # of the cost, between two iterations
 ABSOLUTE_TOLERANCE = 1e-9
+SIGMA_TOLERANCE = 0.03  # where robust losses make convergence slow: how far from the minimum any variable may stay
 MAX_ITERATIONS = 100
+
+_FAST = ("MULTIFRONTAL_SOLVER", "MULTIFRONTAL_CHOLESKY")  # the first is faster, and gives up more easily
+_LARGE = 5_000  # variables; below, the first is no faster either
+_FEW = 10  # iterations; a change of solver pays only beyond
+_SLOW = 0.25  # each decrease of the cost at least so much of the one before: no Gauss-Newton in its last steps
+_LIGHT_DAMPING = 1e-5  # lambda; GTSAM's first, which no variable feels that is known better than 300 m or rad
 
 
 def solve_batch(graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, robots: Sequence[str] = ()) -> gtsam.Values:
     """The values of least cost near the initial ones. Raises UnderDetermined before solving.
 
-    robots: names for the messages. METIS ordering: COLAMD overflows the stack on long chains.
+    robots: names for the messages.
     """
     graph_check.check(graph, initial, robots)
     return optimize(graph, initial)
@@ -36,20 +44,66 @@ def optimize(
 ) -> gtsam.Values:
     """Levenberg-Marquardt without a check of the graph.
 
-    ordering: of the variables, for graphs of one structure that are solved again and again.
+    ordering: of the variables, for graphs of one structure that are solved again and again; METIS without one,
+    because COLAMD overflows the stack on long chains.  iterations: at most so many with each linear solver.
+    Cholesky goes most of the way and QR, half as fast, the last step or all that is left: GTSAM's Cholesky takes a
+    sigma 4 096 times another for an open direction. So it is always QR that finds nothing left to gain.
     """
-    parameters = gtsam.LevenbergMarquardtParams()
     if ordering is None:
-        parameters.setOrderingType("METIS")
-    else:
-        parameters.setOrdering(ordering)
-    parameters.setLinearSolverType(
-        "MULTIFRONTAL_QR"
-    )  # Cholesky takes a sigma 4 096 times another for an open direction
-    parameters.setRelativeErrorTol(RELATIVE_TOLERANCE)
-    parameters.setAbsoluteErrorTol(ABSOLUTE_TOLERANCE)
-    parameters.setMaxIterations(iterations)
-    return gtsam.LevenbergMarquardtOptimizer(graph, initial, parameters).optimize()
+        ordering = gtsam.Ordering.MetisNonlinearFactorGraph(graph)
+    descent = _Descent(graph, initial, ordering)
+    if iterations > _FEW:
+        for solver in _FAST if initial.size() > _LARGE else _FAST[1:]:
+            try:
+                descent.run(solver, iterations, is_last=False)
+                break
+            except RuntimeError:  # the start of an open direction, it thinks, or a noise model that it does not know
+                continue
+    descent.run("MULTIFRONTAL_QR", iterations, is_last=True)
+    return descent.values
+
+
+class _Descent:
+    """Levenberg-Marquardt that may change its linear solver on the way."""
+
+    def __init__(self, graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, ordering: gtsam.Ordering):
+        self.values = initial
+        self._graph, self._ordering = graph, ordering
+        self._cost, self._decrease = graph.error(initial), inf  # before the last iteration, and what that brought
+
+    def run(self, solver: str, iterations: int, is_last: bool) -> None:
+        """Iterate until it is time to stop; what was gained stays when the solver raises RuntimeError."""
+        if self._cost <= ABSOLUTE_TOLERANCE:
+            return  # it cannot become less than zero
+        parameters = gtsam.LevenbergMarquardtParams()
+        parameters.setLinearSolver(getattr(gtsam.LevenbergMarquardtParams.LinearSolverType, solver))
+        parameters.setOrdering(self._ordering)
+        parameters.setRelativeErrorTol(RELATIVE_TOLERANCE)
+        optimizer = gtsam.LevenbergMarquardtOptimizer(self._graph, self.values, parameters)
+        try:
+            for _ in range(iterations):
+                optimizer.iterate()
+                former, self._decrease = self._decrease, self._cost - optimizer.error()
+                self._cost = optimizer.error()
+                if self._is_time_to_stop(former, optimizer.lambda_(), is_last):
+                    break
+        finally:
+            self.values = optimizer.values()
+
+    def _is_time_to_stop(self, former: float, damping: float, is_last: bool) -> bool:
+        """Whether the iterations to come, which gain by the ratio of the last two, would gain nothing that matters.
+
+        A cost that can decrease by g, to second order around its minimum, leaves no variable, nor any combination of
+        them, more than sqrt(2 g) of its sigma away: |x_i|^2 / sigma_i^2 <= x' H x = 2 g (Cauchy-Schwarz).
+        """
+        if self._decrease <= max(ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE * self._cost):
+            return True
+        if damping > _LIGHT_DAMPING or former <= 0 or (is_last and former == inf):
+            return False
+        ratio = 0.5 if former == inf else self._decrease / former
+        if ratio >= 1 or (is_last and ratio < _SLOW):
+            return False
+        return self._decrease * ratio / (1 - ratio) <= SIGMA_TOLERANCE**2 / 2
 
 
 def chi_square(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> tuple[float, int]:
@@ -62,8 +116,14 @@ def chi_square(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> tuple
 class Batch:
     """Solves everything again at each update, from where the last solution was."""
 
-    def __init__(self, robots: Iterable[str], gate: GateSettings | None = None):
-        self.timeline = Timeline(robots)
+    def __init__(
+        self,
+        robots: Iterable[str],
+        landmarks: Iterable[str] = (),
+        gate: GateSettings | None = None,
+        timeline: TimelineSettings | None = None,
+    ):
+        self.timeline = Timeline(robots, landmarks, timeline)
         self.graph = gtsam.NonlinearFactorGraph()
         self.timing = 0.0  # s spent in updates
         self._causal: dict[int, Pose2] = {}
@@ -76,7 +136,7 @@ class Batch:
         began = time.perf_counter()
         records = list(records)
         refusals = self._gate.refusals(records, self._estimate)
-        growth = self.timeline.extend(records, self._values.atPose2, refusals)
+        growth = self.timeline.extend(records, self._estimate.any_value, refusals)
         self.graph.push_back(growth.graph)
         self._values.insert(growth.values)
         if growth.graph.size():
@@ -108,6 +168,9 @@ class BatchEstimate(Estimate):
 
     def value(self, key: int) -> Pose2:
         return self._values.atPose2(key)
+
+    def point(self, key: int) -> np.ndarray:
+        return self._values.atPoint2(key)
 
     def covariance(self, key: int) -> np.ndarray:
         return self._solved().marginal(key)

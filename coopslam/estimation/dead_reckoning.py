@@ -4,14 +4,15 @@ import time
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
+import gtsam
 import numpy as np
 
 from coopslam.errors import BadInput
 from coopslam.estimation.estimate import Estimate
 from coopslam.estimation.factors import GAUGE_SIGMA
 from coopslam.estimation.gate import Gate, GateSettings
-from coopslam.estimation.keys import pose_key
-from coopslam.estimation.timeline import Timeline
+from coopslam.estimation.keys import is_landmark, pose_key
+from coopslam.estimation.timeline import Timeline, TimelineSettings
 from coopslam.estimation.tracks import Edge
 from coopslam.records import Record
 from coopslam.se2 import Pose2, adjoint, chain_covariance
@@ -20,8 +21,8 @@ from coopslam.se2 import Pose2, adjoint, chain_covariance
 class DeadReckoning:
     """Composes odometry. It has a pose at the same instants as the estimators that use every record."""
 
-    def __init__(self, robots: Iterable[str]):
-        self.timeline = Timeline(robots)
+    def __init__(self, robots: Iterable[str], landmarks: Iterable[str] = (), timeline: TimelineSettings | None = None):
+        self.timeline = Timeline(robots, landmarks, timeline)
         self.timing = 0.0  # s spent in updates
         self._gate = Gate(self.timeline, GateSettings())  # the fix that places a robot is none that others contradict
         self._estimate = DeadReckoningEstimate(self.timeline)
@@ -32,8 +33,8 @@ class DeadReckoning:
         records = list(records)
         placed = all(map(self.timeline.is_placed, self.timeline.robots))
         refusals = {} if placed else self._gate.refusals(records, self._estimate)
-        growth = self.timeline.extend(records, self._estimate.value, refusals)
-        self._estimate.grow(growth.tree)
+        growth = self.timeline.extend(records, self._estimate.any_value, refusals)
+        self._estimate.grow(growth.tree, growth.values)
         self._estimate.keep_causal(growth.poses)
         self.timing += time.perf_counter() - began
         return self._estimate
@@ -47,6 +48,7 @@ class DeadReckoningEstimate(Estimate):
         root = pose_key(0, 0)
         self._poses = {root: Pose2()}
         self._covs = {root: np.eye(3) * GAUGE_SIGMA**2}
+        self._guesses = gtsam.Values()  # of landmarks: what the robots saw first
         self._parent: dict[int, int] = {}
         self._open: dict[int, list[Edge]] = defaultdict(list)  # by both keys; edges that nothing reaches yet
 
@@ -58,8 +60,19 @@ class DeadReckoningEstimate(Estimate):
     def vertex_key(self, vertex: int) -> int:
         raise BadInput(f"dead reckoning estimates no map vertices (vertex {vertex} was asked for)")
 
+    @property
+    def landmarks(self) -> list[str]:
+        """None: dead reckoning does not look at landmarks."""
+        return []
+
+    def landmark_key(self, landmark: str) -> int:
+        raise BadInput(f"dead reckoning estimates no landmarks ({landmark} was asked for)")
+
     def value(self, key: int) -> Pose2:
         return self._poses[key]
+
+    def point(self, key: int) -> np.ndarray:
+        return self._guesses.atPoint2(key)
 
     def covariance(self, key: int) -> np.ndarray:
         return self._covs[key]
@@ -68,8 +81,10 @@ class DeadReckoningEstimate(Estimate):
         """Two poses share the error of the last pose that both descend from."""
         return np.block([[self._cross(a, b) for b in keys] for a in keys])
 
-    def grow(self, tree: Iterable[Edge]) -> None:
+    def grow(self, tree: Iterable[Edge], guesses: gtsam.Values) -> None:
         """Compose new edges where they hang on known poses; keep the others."""
+        for key in filter(is_landmark, guesses.keys()):
+            self._guesses.insert(key, guesses.atPoint2(key))
         for edge in tree:
             self._open[edge.key_a].append(edge)
             self._open[edge.key_b].append(edge)

@@ -2,13 +2,20 @@
 
 import threading
 
+try:
+    import resource
+except ImportError:  # no such limit on this system
+    resource = None
+
 STACK_BYTES = 1 << 30  # address space, not memory: only what is used is ever mapped
-ROOMY_ABOVE = 12_000  # pose variables; an 8 MB stack has been seen to end at some 30 000
+ROOMY_ABOVE = 12_000  # pose variables on the usual stack; it has been seen to end at some 30 000
+_USUAL_STACK_BYTES = 8 << 20
+_BYTES_PER_VARIABLE = _USUAL_STACK_BYTES // ROOMY_ABOVE
 
 
 def call(function, *arguments, variables: int):
     """function(*arguments), on a deep stack when there are many variables; costs 0.1 ms then."""
-    if variables <= ROOMY_ABOVE:
+    if variables <= _own_stack_bytes() // _BYTES_PER_VARIABLE:
         return function(*arguments)
     outcome = []
 
@@ -29,3 +36,15 @@ def call(function, *arguments, variables: int):
     if error is not None:
         raise error
     return result
+
+
+def _own_stack_bytes() -> int:
+    """Stack of the thread that asks, at most the usual: the limit of the process also sizes its threads."""
+    stack = _USUAL_STACK_BYTES
+    if resource is not None:
+        limit, _ = resource.getrlimit(resource.RLIMIT_STACK)
+        if limit != resource.RLIM_INFINITY:
+            stack = min(stack, limit)
+    if threading.current_thread() is not threading.main_thread() and threading.stack_size():
+        stack = min(stack, threading.stack_size())
+    return stack

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from coopslam.errors import BadInput, UnderDetermined
-from coopslam.estimation.keys import vertex_key
+from coopslam.estimation.keys import is_landmark, landmark_key, vertex_key
 from coopslam.estimation.timeline import STAMP_TOLERANCE_S, Timeline
 from coopslam.records import Record
 from coopslam.se2 import Pose2, PoseBelief, chain_covariance
@@ -24,8 +24,16 @@ class Trajectory:
     covariances: np.ndarray | None = None  # (N, 3, 3); axes of each pose; m, m, rad
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PointBelief:
+    """A landmark and how well it is known."""
+
+    xy: np.ndarray  # (2,) m
+    cov: np.ndarray  # (2, 2) axes of the frame, m^2
+
+
 class Estimate(ABC):
-    """Poses of robots and map vertices in the frame of the first robot's start, and how well they are known.
+    """Robots, map vertices and landmarks in the frame of the first robot's start, and how well they are known.
 
     A view of its estimator: after the next update it tells the newer values. Everything is computed when asked.
     """
@@ -45,6 +53,11 @@ class Estimate(ABC):
         """Ids of the map vertices, in the order in which they were placed."""
         return list(self.timeline.vertices)
 
+    @property
+    def landmarks(self) -> list[str]:
+        """Names of the landmarks, in the order in which they were placed."""
+        return list(self.timeline.placed_landmarks)
+
     def pose_key(self, robot: str) -> int:
         """Key of the robot's latest pose variable. Raises UnderDetermined while it is not placed."""
         return self._keys(robot)[-1]
@@ -62,6 +75,14 @@ class Estimate(ABC):
         if not self.timeline.is_placed(vertex):
             raise UnderDetermined(f"vertex {vertex} is not in the estimate: no placed robot has seen it")
         return vertex_key(vertex)
+
+    def landmark_key(self, landmark: str) -> int:
+        """Key of a landmark. Raises UnderDetermined when it is not placed."""
+        if landmark not in self.timeline.landmarks:
+            raise BadInput(f"no landmark is called {landmark}; there are {', '.join(self.timeline.landmarks)}")
+        if not self.timeline.is_placed(landmark):
+            raise UnderDetermined(f"{landmark} is not in the estimate: too little was seen of it")
+        return landmark_key(self.timeline.landmarks.index(landmark))
 
     def pose(self, robot: str) -> Pose2:
         """T_world_robot now: its latest variable and what it has driven since."""
@@ -82,6 +103,15 @@ class Estimate(ABC):
         key = self.vertex_key(vertex)
         return PoseBelief(self.value(key), self.covariance(key))
 
+    def landmark(self, landmark: str) -> np.ndarray:
+        """(2,) a landmark's position."""
+        return self.point(self.landmark_key(landmark))
+
+    def landmark_belief(self, landmark: str) -> PointBelief:
+        """A landmark with its covariance."""
+        key = self.landmark_key(landmark)
+        return PointBelief(self.point(key), self.covariance(key))
+
     def trajectory(self, robot: str) -> Trajectory:
         """All poses of a robot as known now, with covariances."""
         keys = self._keys(robot)
@@ -100,17 +130,25 @@ class Estimate(ABC):
         """For estimators: remember how new variables are known now."""
         self._causal.update((key, self.value(key)) for key in keys)
 
+    def any_value(self, key: int) -> Pose2 | np.ndarray:
+        """The pose, or the point when it is a landmark, of any placed variable."""
+        return self.point(key) if is_landmark(key) else self.value(key)
+
     @abstractmethod
     def value(self, key: int) -> Pose2:
-        """The pose of any placed variable."""
+        """The pose of a placed robot or vertex."""
+
+    @abstractmethod
+    def point(self, key: int) -> np.ndarray:
+        """(2,) the position of a placed landmark."""
 
     @abstractmethod
     def covariance(self, key: int) -> np.ndarray:
-        """(3, 3) marginal covariance of a variable in its own axes; m, m, rad."""
+        """Marginal covariance: (3, 3) in the variable's own axes, m, m, rad; of a landmark (2, 2), frame's axes."""
 
     @abstractmethod
     def joint_covariance(self, keys: Sequence[int]) -> np.ndarray:
-        """(3k, 3k) joint covariance of k different variables: blocks in the order asked, each in its own axes."""
+        """Joint covariance of different variables: blocks in the order asked, each as `covariance` gives it."""
 
     def _covariances(self, keys: Sequence[int]) -> np.ndarray:
         return np.array([self.covariance(key) for key in keys])

@@ -6,7 +6,18 @@
 import gtsam
 import numpy as np
 
-from coopslam.records import BearingFix, BearingRangeFix, CornerSighting, RangeFix, RelativePoseFix, WallDecision
+from coopslam.estimation.loss import SQUARES, Loss
+from coopslam.records import (
+    BearingFix,
+    BearingRangeFix,
+    CornerSighting,
+    LandmarkPrior,
+    LoopClosure,
+    PosePrior,
+    RangeFix,
+    RelativePoseFix,
+    WallDecision,
+)
 from coopslam.se2 import Pose2, observer_to_target_axes
 
 GAUGE_SIGMA = 1e-6  # m, m, rad: the first robot's first pose is the origin
@@ -41,22 +52,40 @@ def wall(key_start: int, key_end: int, decision: WallDecision):
     return gtsam.BearingFactorPose2(key_start, key_end, gtsam.Rot2(0.0), noise)
 
 
-def bearing_range(key_observer: int, key_target: int, fix: BearingRangeFix, target_is_point: bool = False):
-    """Singular at range zero. Noise order: bearing, range."""
-    kind = gtsam.BearingRangeFactor2D if target_is_point else gtsam.BearingRangeFactorPose2
-    return kind(key_observer, key_target, gtsam.Rot2(fix.bearing_rad), fix.range_m, gaussian(fix.cov))
+def loop_closure(key_earlier: int, key_now: int, closure: LoopClosure):
+    """A pose in the frame of an earlier one."""
+    return gtsam.BetweenFactorPose2(key_earlier, key_now, closure.T_earlier_now, gaussian(closure.cov_now))
 
 
-def distance(key_observer: int, key_target: int, fix: RangeFix, target_is_point: bool = False):
+def pose_prior(key: int, prior: PosePrior):
+    """A surveyed pose."""
+    return gtsam.PriorFactorPose2(key, prior.T_start_robot, gaussian(prior.cov_robot))
+
+
+def landmark_prior(key: int, prior: LandmarkPrior):
+    """A surveyed point."""
+    return gtsam.PriorFactorPoint2(key, np.asarray(prior.xy, float), gaussian(prior.cov))
+
+
+def bearing_range(
+    key_observer: int, key_target: int, fix: BearingRangeFix, is_point: bool = False, loss: Loss = SQUARES
+):
+    """Singular at range zero. Noise order: bearing, range.  is_point: the target is a landmark, not a robot."""
+    kind = gtsam.BearingRangeFactor2D if is_point else gtsam.BearingRangeFactorPose2
+    noise = loss.applied(gaussian(fix.cov))
+    return kind(key_observer, key_target, gtsam.Rot2(fix.bearing_rad), fix.range_m, noise)
+
+
+def distance(key_observer: int, key_target: int, fix: RangeFix, is_point: bool = False, loss: Loss = SQUARES):
     """Singular at range zero."""
-    kind = gtsam.RangeFactor2D if target_is_point else gtsam.RangeFactorPose2
-    return kind(key_observer, key_target, fix.range_m, gtsam.noiseModel.Isotropic.Sigma(1, fix.sigma_m))
+    kind = gtsam.RangeFactor2D if is_point else gtsam.RangeFactorPose2
+    return kind(key_observer, key_target, fix.range_m, loss.applied(gtsam.noiseModel.Isotropic.Sigma(1, fix.sigma_m)))
 
 
-def bearing(key_observer: int, key_target: int, fix: BearingFix, target_is_point: bool = False):
+def bearing(key_observer: int, key_target: int, fix: BearingFix, is_point: bool = False, loss: Loss = SQUARES):
     """Singular where observer and target coincide."""
-    kind = gtsam.BearingFactor2D if target_is_point else gtsam.BearingFactorPose2
-    noise = gtsam.noiseModel.Isotropic.Sigma(1, fix.sigma_rad)
+    kind = gtsam.BearingFactor2D if is_point else gtsam.BearingFactorPose2
+    noise = loss.applied(gtsam.noiseModel.Isotropic.Sigma(1, fix.sigma_rad))
     return kind(key_observer, key_target, gtsam.Rot2(fix.bearing_rad), noise)
 
 

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from coopslam.errors import UnderDetermined
-from coopslam.estimation.keys import describe
+from coopslam.estimation.keys import describe, is_landmark
 
 _NAMED = 5  # variables named in one message
 
@@ -45,12 +45,13 @@ def complaints(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, robots: 
             anchored.add(members[0])
     _, group = connected_components(coo_array((np.ones(len(first)), (first, second)), shape=(len(keys),) * 2), False)
     held = np.isin(group, [group[i] for i in anchored])
-    bare, unheld, thin = rows == 0, ~held & (rows > 0), held & (rows > 0) & (rows < 3)
+    unknowns = np.array([2 if is_landmark(key) else 3 for key in keys])
+    bare, unheld, thin = rows == 0, ~held & (rows > 0), held & (rows > 0) & (rows < unknowns)
     found = [
         ("have factors but no value", list(absent)),
         ("appear in no factor", [keys[i] for i in np.flatnonzero(bare)]),
         ("are not connected to a prior", [keys[i] for i in np.flatnonzero(unheld)]),
-        ("have fewer than three equations", [keys[i] for i in np.flatnonzero(thin)]),
+        ("have fewer equations than unknowns", [keys[i] for i in np.flatnonzero(thin)]),
     ]
     return [f"{_listing(variables, robots)} {what}" for what, variables in found if variables]
 

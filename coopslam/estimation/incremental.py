@@ -15,7 +15,7 @@ from coopslam.estimation.estimate import Estimate
 from coopslam.estimation.gate import Gate, GateSettings
 from coopslam.estimation.graph_check import in_words
 from coopslam.estimation.keys import describe
-from coopslam.estimation.timeline import Timeline
+from coopslam.estimation.timeline import Timeline, TimelineSettings
 from coopslam.records import Record
 from coopslam.se2 import Pose2
 
@@ -42,10 +42,12 @@ class Incremental:
     def __init__(
         self,
         robots: Iterable[str],
+        landmarks: Iterable[str] = (),
         settings: IncrementalSettings = IncrementalSettings(),
         gate: GateSettings | None = None,
+        timeline: TimelineSettings | None = None,
     ):
-        self.timeline = Timeline(robots)
+        self.timeline = Timeline(robots, landmarks, timeline)
         self.settings = settings
         self.graph = gtsam.NonlinearFactorGraph()  # everything so far, for a batch solve
         self.timing = 0.0  # s spent in updates
@@ -58,7 +60,7 @@ class Incremental:
         began = time.perf_counter()
         records = list(records)
         refusals = self._gate.refusals(records, self._estimate)
-        growth = self.timeline.extend(records, self._isam.calculateEstimatePose2, refusals)
+        growth = self.timeline.extend(records, self._estimate.any_value, refusals)
         self.graph.push_back(growth.graph)
         self._smooth(growth.graph, growth.values)
         self._estimate.forget()
@@ -99,10 +101,10 @@ class IncrementalEstimate(Estimate):
         self._covariance_of = {}
 
     def value(self, key: int) -> Pose2:
-        try:
-            return self._owner._isam.calculateEstimatePose2(key)
-        except IndexError as error:
-            raise UnderDetermined(f"{describe(key, self.robots)} has no estimate: the update failed") from error
+        return self._told(self._owner._isam.calculateEstimatePose2, key)
+
+    def point(self, key: int) -> np.ndarray:
+        return self._told(self._owner._isam.calculateEstimatePoint2, key)
 
     def covariance(self, key: int) -> np.ndarray:
         if key not in self._covariance_of:
@@ -111,6 +113,12 @@ class IncrementalEstimate(Estimate):
 
     def joint_covariance(self, keys: Sequence[int]) -> np.ndarray:
         return self._owner._ask(self._owner._isam.jointMarginalCovariance, list(keys)).fullMatrix()
+
+    def _told(self, function, key: int):
+        try:
+            return function(key)
+        except IndexError as error:
+            raise UnderDetermined(f"{describe(key, self.robots)} has no estimate: the update failed") from error
 
     def _covariances(self, keys: Sequence[int]) -> np.ndarray:
         """iSAM2's tree is as deep as the run is long; a balanced one answers for many poses faster."""

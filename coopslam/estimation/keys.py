@@ -1,6 +1,7 @@
 """Keys of the variables: poses `(robot, index)` and map vertices, and their names in words."""
 
 import gtsam
+import numpy as np
 
 _INDEX_BITS = 32  # a key is a letter and 56 bits: 24 for the robot, 32 for the index of its pose
 
@@ -28,6 +29,13 @@ def is_landmark(key: int) -> bool:
 def is_vertex(key: int) -> bool:
     """Whether the key is a map vertex."""
     return gtsam.symbolChr(key) == ord("v")
+
+
+def value_of(values: gtsam.Values, key: int) -> "gtsam.Pose2 | np.ndarray":
+    """The value of a variable: a pose, or (2,) when it is a landmark. Raises KeyError when there is none."""
+    if not values.exists(key):
+        raise KeyError(describe(key))
+    return values.atPoint2(key) if is_landmark(key) else values.atPose2(key)
 
 
 def robot_index(key: int) -> int | None:

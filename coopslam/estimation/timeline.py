@@ -1,13 +1,14 @@
 """From records to variables and factors: which robot has a pose variable when, and what to guess for it.
 
 A robot gets a new pose variable when a record needs its pose and it has driven since the last one; a
-robot that stands keeps its variable. Robots that no relative pose fix ties to the first robot yet live in
-a frame of their own; what concerns them is held back until a fix joins the frames.
+robot that stands keeps its variable. Robots that nothing ties to the first robot yet live in frames of
+their own (`frames`); what concerns them is held back until fixes or shared points join the frames (`meetings`).
 """
 
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import gtsam
@@ -15,16 +16,24 @@ import numpy as np
 
 from coopslam.errors import BadRecord
 from coopslam.estimation import factors
-from coopslam.estimation.keys import pose_key, vertex_key
-from coopslam.estimation.tracks import Edge, Frame, Growth, Track
+from coopslam.estimation.alignment import AlignmentSettings
+from coopslam.estimation.frames import Frames
+from coopslam.estimation.keys import landmark_key, pose_key, vertex_key
+from coopslam.estimation.loss import SQUARES, Loss
+from coopslam.estimation.meetings import Glimpse, Meetings
+from coopslam.estimation.tracks import Edge, Growth, Track
 from coopslam.records import (
     BearingFix,
     BearingRangeFix,
     CornerDecision,
     CornerEvidence,
     CornerSighting,
+    LandmarkPrior,
+    LoopClosure,
     MoveNote,
     Odometry,
+    PointFix,
+    PosePrior,
     RangeFix,
     Record,
     RelativePoseFix,
@@ -36,53 +45,64 @@ from coopslam.se2 import Pose2, chain_covariance, observer_to_target_axes, xythe
 STAMP_TOLERANCE_S = 1e-6  # two stamps closer than this are the same instant
 
 
+@dataclass(frozen=True, slots=True)
+class TimelineSettings:
+    """How records become factors."""
+
+    loss: Loss = SQUARES  # of sightings of points: bearings and ranges, whose targets may be mistaken for each other
+    alignment: AlignmentSettings = field(default_factory=AlignmentSettings)  # of robots whose start is unknown
+    every_leg: bool = False  # a variable at the end of each odometry record; loop closures ask for poses of long ago
+
+
 class Timeline:
     """Which variables and factors the records of a run call for; the same records always give the same."""
 
-    def __init__(self, robots: Iterable[str]):
-        """robots: all names; the first robot's first pose is the origin."""
-        self.robots = tuple(robots)
-        if not self.robots or len(set(self.robots)) != len(self.robots):
-            raise BadRecord(f"a timeline needs different robot names, not {self.robots}")
+    def __init__(self, robots: Iterable[str], landmarks: Iterable[str] = (), settings: TimelineSettings | None = None):
+        """robots: all names; the first robot's first pose is the origin.  landmarks: points that may be seen."""
+        self.robots, self.landmarks = tuple(robots), tuple(landmarks)
+        names = self.robots + self.landmarks
+        if not self.robots or len(set(names)) != len(names):
+            raise BadRecord(
+                f"a timeline needs different names, not the robots {self.robots}, landmarks {self.landmarks}"
+            )
+        self.settings = settings or TimelineSettings()
         self.tracks = {robot: Track(robot, index) for index, robot in enumerate(self.robots)}
         self.stamps: dict[int, float] = {}  # pose key -> s
         self.vertices: list[int] = []  # ids of placed vertices, in the order of their placement
+        self.placed_landmarks: list[str] = []  # in the order of their placement
         self.used: Counter[str] = Counter()  # kind of record -> number
         self.dropped: Counter[str] = Counter()  # "kind: reason" -> number
         self.refused: list[gtsam.NonlinearFactor] = []  # of fixes that were not believed; they may be looked at again
-        self._frames = {robot: Frame({robot: None}) for robot in self.robots}  # also by vertex id
-        self._anchored = self._frames[self.robots[0]]
-        self._waiting: dict = {}  # robot or vertex that is not placed -> [(factor, members)]
-        self._doubt: dict[int, float] = {}  # pose key of this group -> how bad its guess is
+        self._number = {landmark: number for number, landmark in enumerate(self.landmarks)}
+        self._frames = Frames(self.tracks, self._number)
+        self._meetings = Meetings(self._frames, self.settings.alignment)
+        self._waiting: dict = {}  # robot, landmark or vertex that is not placed -> [(factor, members)]
         self._growth = Growth()
-        self._estimate: Callable[[int], Pose2] | None = None
 
     def extend(
         self,
         records: Iterable[Record],
-        estimate: Callable[[int], Pose2],
+        estimate: Callable[[int], Pose2 | np.ndarray],
         refusals: Mapping[int, str] = MappingProxyType({}),
     ) -> Growth:
         """New factors, new variables and their guesses.
 
-        estimate: the current value of a variable that an earlier call handed out.  refusals: position among the
-        records of each relative pose fix that is not believed, and why; it has its variables, and no factor.
+        estimate: the current value of a variable that an earlier call handed out, (2,) for a landmark.
+        refusals: position among the records of each relative pose fix that is not believed, and why; it has its
+        variables, and no factor.
         """
-        self._growth, self._estimate, self._doubt = Growth(), estimate, {}
+        self._growth, self._frames.estimate, self._frames.doubt = Growth(), estimate, {}
         for position, record in enumerate(records):
             if position in refusals:
                 self._refuse(record, refusals[position])
             elif self._take(record):
                 self.used[type(record).__name__] += 1
-        self._growth.values, self._growth.poses = self._anchored.values, self._anchored.poses
-        self._anchored.values, self._anchored.poses = gtsam.Values(), []
+        self._growth.values, self._growth.poses = self._frames.hand_out()
         return self._growth
 
     def is_placed(self, member: str | int) -> bool:
-        """Whether a robot (by name) or a vertex (by id) has a pose in the first robot's frame."""
-        if self._frames.get(member) is not self._anchored:
-            return False
-        return member not in self.tracks or bool(self.tracks[member].keys)
+        """Whether a robot or landmark (by name) or a vertex (by id) has a place in the first robot's frame."""
+        return self._frames.is_placed(member)
 
     @property
     def held_back(self) -> int:
@@ -114,6 +134,8 @@ class Timeline:
         track.moved = True
         track.cov_now = chain_covariance(record.T_start_now, track.cov_now, record.cov_now)
         track.T_last_now = track.T_last_now * record.T_start_now
+        if self.settings.every_leg:
+            self._end_leg(track)
         return True
 
     def _take_relative_pose(self, record: RelativePoseFix) -> bool:
@@ -121,25 +143,55 @@ class Timeline:
         if keys is None:
             return False
         cov_target = observer_to_target_axes(record.T_observer_target, record.cov_observer)
-        edge = Edge(*keys, record.T_observer_target, cov_target)
-        if self._frames[record.observer] is not self._frames[record.target]:
-            self._join(record.observer, record.target, edge)
-        else:
-            self._improve_guess(edge, self._frames[record.observer])
+        self._tie(record.observer, record.target, Edge(*keys, record.T_observer_target, cov_target))
         self._add(factors.relative_pose(*keys, record), (record.observer, record.target))
         return True
 
+    def _take_loop_closure(self, record: LoopClosure) -> bool:
+        if record.earlier_robot not in self.tracks or record.robot not in self.tracks:
+            return self._drop(record, "unknown robot")
+        key_now = self._key_at(record.robot, record.stamp_s, record)
+        key_earlier = key_now and self._key_at(record.earlier_robot, record.earlier_s, record)
+        if key_earlier is None:
+            return False
+        edge = Edge(key_earlier, key_now, record.T_earlier_now, record.cov_now)
+        self._tie(record.earlier_robot, record.robot, edge)
+        self._add(factors.loop_closure(key_earlier, key_now, record), (record.earlier_robot, record.robot))
+        return True
+
+    def _take_pose_prior(self, record: PosePrior) -> bool:
+        key = self._key_at(record.robot, record.stamp_s, record)
+        if key is None:
+            return False
+        first = self.tracks[self.robots[0]].keys
+        if not first:
+            return self._drop(record, f"before anything of {self.robots[0]}, whose start is the origin")
+        if not self.is_placed(record.robot):
+            self._tie(self.robots[0], record.robot, Edge(first[0], key, record.T_start_robot, record.cov_robot))
+        self._add(factors.pose_prior(key, record), (record.robot,))
+        return True
+
+    def _take_landmark_prior(self, record: LandmarkPrior) -> bool:
+        if record.landmark not in self._number:
+            return self._drop(record, "unknown landmark")
+        if not self.is_placed(record.landmark):
+            xy = np.asarray(record.xy, float)
+            self._placed(self._frames.place_landmark(record.landmark, self._frames.anchored, xy))
+        self._add(factors.landmark_prior(landmark_key(self._number[record.landmark]), record), (record.landmark,))
+        return True
+
     def _take_sighting(self, record: CornerSighting) -> bool:
-        return self._key_at(record.observer, record) is not None
+        return self._key_at(record.observer, record.stamp_s, record) is not None
 
     def _take_corner(self, record: CornerDecision) -> bool:
         sighting = record.sighting
-        key = self._key_at(sighting.observer, sighting)
+        key = self._key_at(sighting.observer, sighting.stamp_s, sighting)
         if key is None:
             return False
-        frame, known = self._frames[sighting.observer], self._frames.get(record.vertex)
-        if known is None or (known is not frame and frame is self._anchored):
-            self._place_vertex(record.vertex, frame, self._guess(key, frame) * sighting.T_observer_corner)
+        frame, known = self._frames.of(sighting.observer), self._frames.of(record.vertex)
+        if known is None or (known is not frame and frame is self._frames.anchored):
+            guess = self._frames.guess(key, frame) * sighting.T_observer_corner
+            self._placed(self._frames.place_vertex(record.vertex, vertex_key(record.vertex), frame, guess))
         self._add(factors.corner(key, vertex_key(record.vertex), sighting), (sighting.observer, record.vertex))
         return True
 
@@ -148,14 +200,21 @@ class Timeline:
         self._add(factor, (record.start, record.end))
         return True
 
-    def _take_fix(self, record: BearingRangeFix | RangeFix | BearingFix) -> bool:
+    def _take_point(self, record: PointFix) -> bool:
+        """A bearing or range, or both, of a robot or a landmark."""
         if getattr(record, "range_m", 1.0) == 0.0:
             return self._drop(record, "range zero")
-        keys = self._pair(record)
+        is_landmark = record.target in self._number
+        keys = self._pair_with_landmark(record) if is_landmark else self._pair(record)
         if keys is None:
             return False
-        make = {BearingRangeFix: factors.bearing_range, RangeFix: factors.distance, BearingFix: factors.bearing}
-        self._add(make[type(record)](*keys, record), (record.observer, record.target))
+        glimpse = Glimpse(keys[0], record)
+        if is_landmark:
+            self._placed(self._meetings.see_landmark(record.observer, record.target, glimpse))
+        elif self._frames.of(record.observer) is not self._frames.of(record.target):
+            self._meetings.see_robot(record.observer, record.target, glimpse, keys[1])
+        self._add(_MAKE[type(record)](*keys, record, is_landmark, self.settings.loss), (record.observer, record.target))
+        self._meet(record.observer)
         return True
 
     def _take_nothing(self, record: CornerEvidence | TriangleDecision | MoveNote) -> bool:
@@ -166,24 +225,29 @@ class Timeline:
     def _pair(self, record) -> tuple[int, int] | None:
         """Pose keys of observer and target at the record's stamp, or None after counting the drop."""
         if record.observer not in self.tracks or record.target not in self.tracks:
-            self._drop(record, "unknown robot")
+            known = record.observer in self.tracks
+            self._drop(record, "unknown target" if known and self.landmarks else "unknown robot")
             return None
-        key_observer = self._key_at(record.observer, record)
-        key_target = None if key_observer is None else self._key_at(record.target, record)
+        key_observer = self._key_at(record.observer, record.stamp_s, record)
+        key_target = None if key_observer is None else self._key_at(record.target, record.stamp_s, record)
         return None if key_target is None else (key_observer, key_target)
 
-    def _key_at(self, robot: str, record) -> int | None:
-        """The robot's pose variable at the record's stamp, made if needed; None (and counted) when it is too late."""
+    def _pair_with_landmark(self, record: PointFix) -> tuple[int, int] | None:
+        key = self._key_at(record.observer, record.stamp_s, record)
+        return None if key is None else (key, landmark_key(self._number[record.target]))
+
+    def _key_at(self, robot: str, stamp_s: float, record) -> int | None:
+        """The robot's pose variable at an instant, made if needed; None (and counted) when it is too late for that."""
         track = self.tracks.get(robot)
         if track is None:
             self._drop(record, "unknown robot")
             return None
         if not track.keys:
-            self._begin(track, record.stamp_s)
-        if track.moved and record.stamp_s >= track.odometry_end_s - STAMP_TOLERANCE_S:
+            self._begin(track, stamp_s)
+        if track.moved and stamp_s >= track.odometry_end_s - STAMP_TOLERANCE_S:
             self._end_leg(track)
-        number = max(bisect_right(track.since_s, record.stamp_s + STAMP_TOLERANCE_S) - 1, 0)
-        stood = track.since_s[number] - STAMP_TOLERANCE_S <= record.stamp_s <= track.until_s[number] + STAMP_TOLERANCE_S
+        number = max(bisect_right(track.since_s, stamp_s + STAMP_TOLERANCE_S) - 1, 0)
+        stood = track.since_s[number] - STAMP_TOLERANCE_S <= stamp_s <= track.until_s[number] + STAMP_TOLERANCE_S
         if not stood:
             self._drop(record, "older than the odometry after it")
             return None
@@ -198,11 +262,12 @@ class Timeline:
     def _end_leg(self, track: Track) -> None:
         """A new variable at the end of the odometry since the last one."""
         last = track.keys[-1]
-        guess = self._guess(last, self._frames[track.robot]) * track.T_last_now
+        guess = self._frames.guess(last, self._frames.of(track.robot)) * track.T_last_now
         key = self._new_key(track, track.odometry_end_s, guess)
         self._add(factors.odometry_leg(last, key, track.T_last_now, track.cov_now), (track.robot,))
         self._growth.tree.append(Edge(last, key, track.T_last_now, track.cov_now))
-        self._doubt[key] = self._doubt.get(last, 0.0) + float(np.trace(track.cov_now))
+        doubt = self._frames.doubt
+        doubt[key] = doubt.get(last, 0.0) + float(np.trace(track.cov_now))
         track.moved, track.T_last_now, track.cov_now = False, Pose2(), np.zeros((3, 3))
 
     def _new_key(self, track: Track, stamp_s: float, guess: Pose2) -> int:
@@ -211,57 +276,30 @@ class Timeline:
         track.since_s.append(stamp_s)
         track.until_s.append(np.inf)
         self.stamps[key] = stamp_s
-        frame = self._frames[track.robot]
-        frame.values.insert(key, guess)
-        frame.poses.append(key)
+        self._frames.add_pose(track.robot, key, guess)
         return key
 
-    # ---- guesses and frames ----
+    # ---- frames ----
 
-    def _guess(self, key: int, frame: Frame) -> Pose2:
-        """The current value of a variable in its frame."""
-        return frame.values.atPose2(key) if frame.values.exists(key) else self._estimate(key)
-
-    def _improve_guess(self, edge: Edge, frame: Frame) -> None:
-        """Let a fix correct the guess of a variable of this group where odometry guessed worse."""
-        doubt_a, doubt_b = self._doubt.get(edge.key_a, 0.0), self._doubt.get(edge.key_b, 0.0)
-        doubt_edge = float(np.trace(edge.cov_b))
-        if doubt_a + doubt_edge < doubt_b and frame.values.exists(edge.key_b):
-            frame.values.update(edge.key_b, self._guess(edge.key_a, frame) * edge.T_a_b)
-            self._doubt[edge.key_b] = doubt_a + doubt_edge
-        elif doubt_b + doubt_edge < doubt_a and frame.values.exists(edge.key_a):
-            frame.values.update(edge.key_a, self._guess(edge.key_b, frame) * edge.T_a_b.inverse())
-            self._doubt[edge.key_a] = doubt_b + doubt_edge
-
-    def _join(self, a: str, b: str, edge: Edge) -> None:
-        """Bring the frames of robots a and b together by a fix; the first robot's frame stays."""
-        stays, goes = self._frames[a], self._frames[b]
-        T_stays_goes = self._guess(edge.key_a, stays) * edge.T_a_b * self._guess(edge.key_b, goes).inverse()
-        if goes is self._anchored:
-            stays, goes, T_stays_goes = goes, stays, T_stays_goes.inverse()
-        moving = goes.values.keys()
-        for key in moving:
-            stays.values.insert(key, T_stays_goes * goes.values.atPose2(key))
-        stays.poses.extend(goes.poses)
-        stays.members |= goes.members
+    def _tie(self, a: str, b: str, edge: Edge) -> None:
+        """A measured relative pose brings two frames together, or improves a guess in one."""
+        frame_a, frame_b = self._frames.of(a), self._frames.of(b)
+        if frame_a is frame_b:
+            self._frames.improve(edge, frame_a)
+            return
         self._growth.tree.append(edge)
-        for member in goes.members:
-            self._frames[member] = stays
-        if stays is self._anchored:
-            for member in goes.members:
-                self._placed(member)
+        placed = self._frames.join(a, b, edge)
+        joined = self._frames.of(a)
+        self._meetings.merged(joined, frame_b if joined is frame_a else frame_a)
+        self._placed(placed)
 
-    def _place_vertex(self, vertex: int, frame: Frame, guess: Pose2) -> None:
-        """Give a vertex its first guess, or move it from a frame that is not placed to one that is."""
-        former = self._frames.get(vertex)
-        if former is not None:
-            former.members.pop(vertex)
-            former.values.erase(vertex_key(vertex))
-        self._frames[vertex] = frame
-        frame.members[vertex] = None
-        frame.values.insert(vertex_key(vertex), guess)
-        if frame is self._anchored:
-            self._placed(vertex)
+    def _meet(self, robot: str) -> None:
+        """Look whether the robot's frame and another one share enough points by now."""
+        joined = self._meetings.join_around(robot)
+        if joined is not None:
+            edge, placed = joined
+            self._growth.tree.append(edge)
+            self._placed(placed)
 
     # ---- factors ----
 
@@ -273,12 +311,15 @@ class Timeline:
         else:
             self._waiting.setdefault(missing, []).append((factor, members))
 
-    def _placed(self, member: str | int) -> None:
-        """Look again at what waited for this robot or vertex."""
-        if member not in self.tracks:
-            self.vertices.append(member)
-        for factor, members in self._waiting.pop(member, []):
-            self._add(factor, members)
+    def _placed(self, members: Iterable[str | int]) -> None:
+        """Look again at what waited for these robots, landmarks and vertices."""
+        for member in members:
+            if member in self._number:
+                self.placed_landmarks.append(member)
+            elif member not in self.tracks:
+                self.vertices.append(member)
+            for factor, others in self._waiting.pop(member, []):
+                self._add(factor, others)
 
     def _refuse(self, record: RelativePoseFix, reason: str) -> None:
         """Keep the factor of a fix that is not believed, and count it; its poses are variables nevertheless."""
@@ -297,15 +338,19 @@ def is_motion(record: Odometry) -> bool:
     return bool(record.cov_now.any() or xytheta(record.T_start_now).any())
 
 
+_MAKE = {BearingRangeFix: factors.bearing_range, RangeFix: factors.distance, BearingFix: factors.bearing}
 _TAKE = {
     Odometry: Timeline._take_odometry,
     RelativePoseFix: Timeline._take_relative_pose,
     CornerSighting: Timeline._take_sighting,
     CornerDecision: Timeline._take_corner,
     WallDecision: Timeline._take_wall,
-    BearingRangeFix: Timeline._take_fix,
-    RangeFix: Timeline._take_fix,
-    BearingFix: Timeline._take_fix,
+    BearingRangeFix: Timeline._take_point,
+    RangeFix: Timeline._take_point,
+    BearingFix: Timeline._take_point,
+    LoopClosure: Timeline._take_loop_closure,
+    PosePrior: Timeline._take_pose_prior,
+    LandmarkPrior: Timeline._take_landmark_prior,
     CornerEvidence: Timeline._take_nothing,
     TriangleDecision: Timeline._take_nothing,
     MoveNote: Timeline._take_nothing,

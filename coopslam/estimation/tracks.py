@@ -25,16 +25,7 @@ class Growth:
     graph: gtsam.NonlinearFactorGraph = field(default_factory=gtsam.NonlinearFactorGraph)
     values: gtsam.Values = field(default_factory=gtsam.Values)  # guesses of the new variables
     poses: list[int] = field(default_factory=list)  # new pose variables, in order
-    tree: list[Edge] = field(default_factory=list)  # new odometry legs and the fixes that placed a robot
-
-
-@dataclass(slots=True, eq=False)
-class Frame:
-    """Robots and vertices whose poses are guessed in one common frame."""
-
-    members: dict  # robot or vertex -> None: a set that keeps its order
-    values: gtsam.Values = field(default_factory=gtsam.Values)  # guesses not yet handed out
-    poses: list[int] = field(default_factory=list)  # pose variables not yet handed out
+    tree: list[Edge] = field(default_factory=list)  # new odometry legs, and what joined two frames
 
 
 @dataclass(slots=True, eq=False)

@@ -4,7 +4,7 @@ A format of one's own needs a class with the two methods of `LogSource`; everyth
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -28,8 +28,14 @@ class Log:
 class TrueTrack:
     """Where a robot really was."""
 
-    stamps_s: np.ndarray  # (N,) ascending
+    stamps_s: np.ndarray  # (N,) ascending, each once
     poses: list[Pose2]  # N, in a frame common to the whole log
+
+
+def true_track(stamps_s: Sequence[float], poses: Sequence[Pose2]) -> TrueTrack:
+    """A track from stamps in any order; of poses at one instant the first counts."""
+    stamps, first = np.unique(np.asarray(stamps_s, dtype=float), return_index=True)
+    return TrueTrack(stamps, [poses[k] for k in first.tolist()])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,31 @@
+"""Robust losses for sightings that may be false and come with the covariance of good ones."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import gtsam
+
+from coopslam.errors import require_positive
+
+_CONSTANTS = {"huber": 1.345, "cauchy": 2.385}  # 95 % efficiency for normal errors (Holland and Welsch 1977)
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """What a residual costs: its square, or less than that where it is large."""
+
+    kind: Literal["squares", "huber", "cauchy"] = "squares"
+    scale_sigmas: float = 1.0  # a factor on the constant of 95 % efficiency: 1.345 sigma (Huber), 2.385 sigma (Cauchy)
+
+    def __post_init__(self):
+        require_positive(scale_sigmas=self.scale_sigmas)
+
+    def applied(self, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
+        """The noise model with this loss."""
+        if self.kind == "squares":
+            return noise
+        kind = {"huber": gtsam.noiseModel.mEstimator.Huber, "cauchy": gtsam.noiseModel.mEstimator.Cauchy}[self.kind]
+        return gtsam.noiseModel.Robust.Create(kind.Create(_CONSTANTS[self.kind] * self.scale_sigmas), noise)
+
+
+SQUARES = Loss()
