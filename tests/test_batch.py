@@ -1,3 +1,7 @@
+import subprocess
+import sys
+from pathlib import Path
+
 import gtsam
 import numpy as np
 import pytest
@@ -195,3 +199,115 @@ def test_a_long_chain_is_solved_with_covariances(poses):
     estimate = BatchEstimate(timeline, graph, solution)
     heading_variance = estimate.covariance(pose_key(0, poses - 1))[2, 2]
     assert heading_variance == pytest.approx((poses - 1) * 1e-6, rel=1e-3)  # a random walk
+
+
+def straight_and_turn(poses, rng):
+    """Legs whose sigmas are 10^6 apart, a guess half a metre off, and loops: bare Cholesky never leaves the guess."""
+    graph, values, pose = gtsam.NonlinearFactorGraph(), gtsam.Values(), Pose2()
+    graph.push_back(gauge_prior(pose_key(0, 0)))
+    truth = [pose]
+    for i in range(1, poses):
+        turns = i % 2 == 0
+        delta = Pose2(0, 0, rng.normal()) if turns else Pose2(1 + rng.random(), 0, 0)
+        sigmas = np.array([1e-6, 1e-6, 0.1] if turns else [1.0, 0.5, 1e-6])
+        truth.append(truth[-1] * delta)
+        measured = delta * Pose2(*(rng.standard_normal(3) * sigmas))
+        graph.push_back(odometry_leg(pose_key(0, i - 1), pose_key(0, i), measured, np.diag(sigmas) ** 2))
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, 0.05)
+    for i in range(0, poses - 9, 7):
+        a, b = truth[i], truth[i + 9]
+        measured = a.between(b) * Pose2(*(rng.standard_normal(3) * 0.05))
+        graph.push_back(gtsam.BetweenFactorPose2(pose_key(0, i), pose_key(0, i + 9), measured, noise))
+    for i, pose in enumerate(truth):
+        values.insert(pose_key(0, i), pose * Pose2(*(0.5 * rng.standard_normal(3) * (i > 0))))
+    return graph, values
+
+
+def newton_step_in_sigmas(graph, values):
+    """sqrt(g' H^-1 g), which no variable's way to the minimum exceeds in its sigmas; numpy's QR of the Jacobian."""
+    ordering = gtsam.Ordering()
+    for key in values.keys():  # noqa: SIM118 - Values is no dict
+        ordering.push_back(key)
+    jacobian, rest = graph.linearize(values).jacobian(ordering)
+    return np.linalg.norm(np.linalg.qr(jacobian)[0].T @ rest)
+
+
+def bare(graph, initial, solver="MULTIFRONTAL_CHOLESKY", tolerance=1e-9):
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setLinearSolverType(solver)
+    parameters.setRelativeErrorTol(tolerance)
+    parameters.setAbsoluteErrorTol(tolerance)
+    return gtsam.LevenbergMarquardtOptimizer(graph, initial, parameters).optimize()
+
+
+@pytest.mark.parametrize("large", [60, 0])  # variables from which the faster Cholesky is tried first
+def test_sigmas_far_apart_are_solved_where_cholesky_gives_up(large, monkeypatch):
+    monkeypatch.setattr("coopslam.estimation.batch._LARGE", large)
+    graph, initial = straight_and_turn(60, np.random.default_rng(3))
+    assert graph.error(bare(graph, initial)) > 1e6
+    solution = solve_batch(graph, initial)
+    # a relative change of the cost of 1e-9, as between the last two iterations, is 4e-5 sigma for a cost of 1
+    assert newton_step_in_sigmas(graph, solution) < 1e-3
+    expected = bare(graph, initial, "MULTIFRONTAL_QR", 1e-12)
+    assert max(difference(solution.atPose2(key), expected.atPose2(key)) for key in expected.keys()) < 1e-4  # noqa: SIM118
+
+
+@pytest.mark.parametrize("large", [1000, 0])
+def test_robust_losses_stop_within_the_promised_part_of_a_sigma(large, monkeypatch):
+    monkeypatch.setattr("coopslam.estimation.batch._LARGE", large)
+    rng = np.random.default_rng(1)
+    graph, initial, truth = gtsam.NonlinearFactorGraph(), gtsam.Values(), Pose2()
+    graph.push_back(gauge_prior(pose_key(0, 0)))
+    beacons = rng.uniform(-10, 10, size=(4, 2))
+    cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)
+    noise = gtsam.noiseModel.Robust.Create(cauchy, gtsam.noiseModel.Diagonal.Sigmas(np.array([0.05, 0.15])))
+    step = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.1, 0.1, 0.1]))
+    for i in range(100):
+        if i:
+            delta = Pose2(0.3, 0, 0.05)
+            truth = truth * delta
+            measured = delta * Pose2(*(rng.standard_normal(3) * 0.1))
+            graph.push_back(gtsam.BetweenFactorPose2(pose_key(0, i - 1), pose_key(0, i), measured, step))
+        initial.insert(pose_key(0, i), truth * Pose2(*(0.1 * rng.standard_normal(3))))
+        for number, beacon in enumerate(beacons):
+            factor = (truth.bearing(beacon), truth.range(beacon))
+            wrong = rng.standard_normal(2) * (1.0 if rng.random() < 0.3 else 0.1)  # a third is false
+            bearing = gtsam.Rot2(factor[0].theta() + wrong[0])
+            key = gtsam.symbol("l", number)
+            graph.push_back(gtsam.BearingRangeFactor2D(pose_key(0, i), key, bearing, factor[1] + wrong[1], noise))
+    for number, beacon in enumerate(beacons):
+        initial.insert(gtsam.symbol("l", number), beacon + 0.1 * rng.standard_normal(2))
+    solution = solve_batch(graph, initial)
+    best = bare(graph, solution, "MULTIFRONTAL_QR", 1e-14)
+    way = solution.localCoordinates(best)
+    marginals = gtsam.Marginals(graph, best)
+    # GTSAM's marginals: of the losses linearized at the minimum
+    far = [way.at(key) @ marginals.marginalInformation(key) @ way.at(key) for key in best.keys()]  # noqa: SIM118
+    assert 0 < np.sqrt(max(far)) < 0.05
+
+
+CHAIN_ON_A_SMALL_STACK = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_STACK, (1 << 20, resource.getrlimit(resource.RLIMIT_STACK)[1]))
+sys.path[:0] = [{benchmarks!r}]
+import numpy as np
+from long_chain import pose_key, two_robots
+from coopslam.estimation.batch import solve_batch
+from coopslam.estimation.covariances import Covariances
+graph, initial = two_robots(30_000, 5, np.random.default_rng(0))
+values = solve_batch(graph, initial)
+covariances = Covariances(graph, values)
+covariances.marginals([pose_key(1, i) for i in range(0, 15_000, 150)])
+covariances.joint([pose_key(0, 14_999), pose_key(1, 14_999)])
+print(2 * graph.error(values))
+del covariances, values, initial, graph
+"""
+
+
+def test_a_long_run_of_two_robots_needs_no_more_than_a_small_stack():
+    benchmarks = str(Path(__file__).parents[1] / "scripts" / "benchmarks")
+    script = CHAIN_ON_A_SMALL_STACK.format(benchmarks=benchmarks)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    dof = 3 * 3000 - 3  # of the fixes, less the other robot's first pose
+    assert float(done.stdout) == pytest.approx(dof, abs=4 * np.sqrt(2 * dof))  # four sigmas of a chi-square

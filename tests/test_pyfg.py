@@ -74,9 +74,8 @@ def test_the_truth_never_reaches_a_record(tmp_path):
     for k, line in enumerate(lines):
         words = line.split()
         if words[0] in ("VERTEX_SE2", "VERTEX_XY"):
-            lines[k] = " ".join(
-                [*words[: 3 if words[0] == "VERTEX_SE2" else 2], *["77"] * (len(words) - 3)][: len(words)]
-            )
+            named = 3 if words[0] == "VERTEX_SE2" else 2
+            lines[k] = " ".join(words[:named] + ["77"] * (len(words) - named))
     (tmp_path / "a.pyfg").write_text("\n".join(lines) + "\n")
     assert PyfgSource(tmp_path / "a.pyfg").truth().landmarks["L1"].tolist() == [77, 77]
     assert repr(PyfgSource(tmp_path / "a.pyfg").read().records) == repr(PyfgSource(SMALL).read().records)
@@ -121,8 +120,14 @@ def test_the_order_of_lines_makes_no_difference_to_what_is_recorded(tmp_path):
         ("VERTEX_SE2 0 17 0 0 0", "line 2: the pose '17'; expected letters and a number, such as A0"),
         ("VERTEX_SE2 0 A0 0 0 0", "line .*: A0 is there already"),
         ("EDGE_SE2_XY 1 A0 L9 1 1 1 0 1", "line 2: there is no vertex L9 that is a pose or landmark"),
-        ("EDGE_SE2 1 A0 A2 0 0 0 1 0 0 -1 0 1", r"line 2: loop closure of A has no \(3, 3\) covariance"),
+        (
+            "EDGE_SE2 1 A0 A2 0 0 0 1 0 0 -1 0 1",
+            r"line 2: the covariance \[1.0, 0.0, 0.0, -1.0, .*; expected a positive",
+        ),
+        ("EDGE_SE2_XY 1 A0 L1 1 1 0 0 0", r"line 2: the covariance \[0.0, 0.0, 0.0\]; expected a positive definite"),
         ("VERTEX_SE2", "line 2: VERTEX_SE2 takes"),
+        ("VERTEX_XY L\0 0 0", r"line 2: the name 'L.x00'; expected up to 60 printable characters"),
+        ("EDGE_RANGE 1 A0 " + "L" * 5000 + " 5 1", "line 2: the name 'LLLL.*; expected up to 60 printable"),
     ],
 )
 def test_bad_lines_are_named(tmp_path, line, message):

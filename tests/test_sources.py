@@ -20,7 +20,7 @@ from coopslam.se2 import Pose2
 LOGS = Path(__file__).parents[1] / "datasets" / "logs"
 
 
-def some_records(count):
+def some_records(count: int) -> list[Odometry]:
     return [Odometry(float(k), k + 1.0, "a", Pose2(1, 0, 0.1), np.eye(3) * 0.01) for k in range(count)]
 
 
@@ -89,7 +89,7 @@ def test_of_a_log_that_breaks_off_what_precedes_the_break_is_read(run):
     log = open_log(run).read()
     assert (len(log.records), log.dropped) == (20, {TRUNCATED: 1})
     lengths = set()
-    for size in range(len(whole) // 2, len(whole), 97):
+    for size in range(0, len(whole), 101):
         path.write_bytes(whole[:size])
         try:
             log = open_log(run).read()
@@ -123,9 +123,9 @@ def whole_log(tmp_path_factory):
 
 
 def test_a_run_log_with_one_byte_changed(whole_log, tmp_path):
-    """Each 7th byte inverted: a log comes back, or one line says what is wrong."""
+    """Each 41st byte inverted: a log comes back, or one line says what is wrong."""
     path = tmp_path / "a.mcap"
-    for place in range(0, len(whole_log), 7):
+    for place in range(0, len(whole_log), 41):
         path.write_bytes(whole_log[:place] + bytes([whole_log[place] ^ 0xFF]) + whole_log[place + 1 :])
         try:
             log = open_log(path).read()

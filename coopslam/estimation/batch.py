@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterable, Sequence
-from math import inf
+from math import inf, sqrt
 
 import gtsam
 import numpy as np
@@ -17,7 +17,7 @@ from coopslam.se2 import Pose2
 
 RELATIVE_TOLERANCE = 1e-9  # of the cost, between two iterations
 ABSOLUTE_TOLERANCE = 1e-9
-SIGMA_TOLERANCE = 0.03  # where robust losses make convergence slow: how far from the minimum any variable may stay
+SIGMA_TOLERANCE = 0.05  # where robust losses make convergence slow: how far from the minimum any variable may stay
 MAX_ITERATIONS = 100
 
 _FAST = ("MULTIFRONTAL_SOLVER", "MULTIFRONTAL_CHOLESKY")  # the first is faster, and gives up more easily
@@ -93,8 +93,9 @@ class _Descent:
     def _is_time_to_stop(self, former: float, damping: float, is_last: bool) -> bool:
         """Whether the iterations to come, which gain by the ratio of the last two, would gain nothing that matters.
 
-        A cost that can decrease by g, to second order around its minimum, leaves no variable, nor any combination of
-        them, more than sqrt(2 g) of its sigma away: |x_i|^2 / sigma_i^2 <= x' H x = 2 g (Cauchy-Schwarz).
+        A cost that can decrease by g around its minimum, where its second derivative is A, is x with x' A x = 2 g away.
+        Robust losses are linearized with an H > A; each step leaves at most q x, A >= (1 - q) H, and decreases shrink
+        by q^2. So |x_i|^2 / sigma_i^2 <= x' H x (Cauchy-Schwarz) <= 2 g / (1 - q).
         """
         if self._decrease <= max(ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE * self._cost):
             return True
@@ -103,7 +104,8 @@ class _Descent:
         ratio = 0.5 if former == inf else self._decrease / former
         if ratio >= 1 or (is_last and ratio < _SLOW):
             return False
-        return self._decrease * ratio / (1 - ratio) <= SIGMA_TOLERANCE**2 / 2
+        gain = self._decrease * ratio / (1 - ratio)
+        return 2 * gain / (1 - sqrt(ratio)) <= SIGMA_TOLERANCE**2
 
 
 def chi_square(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> tuple[float, int]:
@@ -163,14 +165,14 @@ class BatchEstimate(Estimate):
     ):
         """values: a solution of the graph; both as the timeline handed them out."""
         super().__init__(timeline, causal)
-        self._graph, self._values = graph, values
+        self.graph, self.values = graph, values
         self._covariances_of: Covariances | None = None
 
     def value(self, key: int) -> Pose2:
-        return self._values.atPose2(key)
+        return self.values.atPose2(key)
 
     def point(self, key: int) -> np.ndarray:
-        return self._values.atPoint2(key)
+        return self.values.atPoint2(key)
 
     def covariance(self, key: int) -> np.ndarray:
         return self._solved().marginal(key)
@@ -178,7 +180,10 @@ class BatchEstimate(Estimate):
     def joint_covariance(self, keys: Sequence[int]) -> np.ndarray:
         return self._solved().joint(keys)
 
+    def _covariances(self, keys: Sequence[int]) -> np.ndarray:
+        return np.array(self._solved().marginals(keys))
+
     def _solved(self) -> Covariances:
         if self._covariances_of is None:
-            self._covariances_of = Covariances(self._graph, self._values, self.robots)
+            self._covariances_of = Covariances(self.graph, self.values, self.robots)
         return self._covariances_of

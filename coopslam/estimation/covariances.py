@@ -37,8 +37,11 @@ class Covariances:
             self._net = linear.eliminateSequential(ordering, gtsam.EliminateQR)
         except RuntimeError as error:
             raise in_words(error, graph, values, robots) from error
-        self._place = {ordering.at(i): i for i in range(ordering.size())}
-        self._scale = max(np.abs(np.diagonal(self._net.at(i).R())).max() for i in range(self._net.size()))
+        self._place, self._scale = {}, 0.0
+        for i in range(self._net.size()):
+            conditional = self._net.at(i)
+            self._place[conditional.firstFrontalKey()] = i  # not always its place in the ordering
+            self._scale = max(self._scale, float(np.abs(conditional.R().diagonal()).max()))
         self._conditionals: dict[int, _Conditional] = {}
         self._families: dict[int, tuple[np.ndarray, dict[int, slice]]] = {}
 

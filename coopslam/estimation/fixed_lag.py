@@ -5,14 +5,13 @@ stood there, and all landmarks and map vertices. It is linearized anew in every 
 eliminated, exactly where the problem is linear, and never linearized again. Factors that reach a pose that has left
 come too late and are counted as dropped.
 
-What those factors said lives on in one `MarginalPrior`. It is linearized once, at the estimate when the pose left, while
-newer factors on the same variables are linearized where these are now. Such a prior can believe to know a direction
-that no measurement tells (Huang, Mourikis, Roumeliotis 2011, An observability-constrained sliding window filter for
-SLAM); with the lag, the smoothing before that moment, the difference of the two points shrinks.
+What those factors said lives on in one `MarginalPrior`. It is linearized once, at the estimate when the pose left,
+while newer factors on the same variables are linearized where these are now; `marginal_prior` says why the two agree
+nevertheless on what neither can know.
 
 Why not GTSAM's smoothers: `IncrementalFixedLagSmoother` freezes the linearization of every variable next to an
-eliminated one, which landmarks and standing robots are nearly at once and for ever after; `BatchFixedLagSmoother` has no
-covariances in Python.
+eliminated one, which landmarks and standing robots are nearly at once and for ever after; `BatchFixedLagSmoother` has
+no covariances in Python.
 """
 
 import time
@@ -48,7 +47,7 @@ class FixedLagSettings:
 
     lag_s: float = 15.0  # a pose leaves the window so long after its robot left it
     step_threshold: float = 3e-3  # m or rad: an update ends with a step smaller than this
-    rounds: int = 10  # at most so many steps in one update
+    rounds: int = 4  # at most so many steps in one update
 
     def __post_init__(self):
         require_positive(lag_s=self.lag_s, step_threshold=self.step_threshold)
@@ -194,9 +193,12 @@ class FixedLag:
         graph = gtsam.NonlinearFactorGraph()
         for factor, _ in self._factors:
             graph.push_back(factor)
-        cost = self._cost(graph, self._window)
+        cost, ordering = self._cost(graph, self._window), None
         for _ in range(self.settings.rounds):
-            self._tree = _elimination(self._linear(graph))
+            linear = self._linear(graph)
+            # COLAMD: METIS crashes on a variable without neighbours, such as a landmark that is out of sight for long.
+            ordering = ordering or gtsam.Ordering.ColamdGaussianFactorGraph(linear)
+            self._tree = _elimination(linear, ordering)
             step = self._tree.optimize()
             for _ in range(_HALVINGS):
                 moved = self._window.retract(step)
@@ -318,12 +320,8 @@ class FixedLagEstimate(Estimate):
         return describe(key, self.robots, self.timeline.landmarks)
 
 
-def _elimination(linear: gtsam.GaussianFactorGraph) -> gtsam.GaussianBayesTree:
-    """The Bayes tree: by Cholesky, and by QR, half as fast, where that takes a direction for an open one.
-
-    COLAMD: METIS crashes on a variable without neighbours, such as a landmark that is out of sight for long.
-    """
-    ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
+def _elimination(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gtsam.GaussianBayesTree:
+    """The Bayes tree: by Cholesky, and by QR, half as fast, where that takes a direction for an open one."""
     try:
         return linear.eliminateMultifrontal(ordering)
     except RuntimeError:

@@ -123,7 +123,7 @@ class IncrementalEstimate(Estimate):
     def _covariances(self, keys: Sequence[int]) -> np.ndarray:
         """iSAM2's tree is as deep as the run is long; a balanced one answers for many poses faster."""
         covariances = Covariances(self._owner.graph, self._owner.values(), self.robots)
-        return np.array([covariances.marginal(key) for key in keys])
+        return np.array(covariances.marginals(keys))
 
 
 def _parameters(settings: IncrementalSettings) -> gtsam.ISAM2Params:

@@ -7,7 +7,7 @@ approximation for graph-based simultaneous localization and mapping, RSS 2011).
 """
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import gtsam
@@ -56,11 +56,15 @@ def smooth(
     landmarks: Iterable[str] = (),
     timeline: TimelineSettings | None = None,
     settings: SmoothSettings | None = None,
+    watch: Callable[[float], None] = lambda stamp_s: None,
 ) -> Smoothed:
-    """Everything that synchronized records tell, at once. Raises UnderDetermined when nothing ties a robot down."""
+    """Everything that synchronized records tell, at once. watch: is told the stamps that the start has come to.
+
+    Raises UnderDetermined when nothing ties a robot down.
+    """
     settings, began = settings or SmoothSettings(), time.perf_counter()
     causal = Incremental(robots, landmarks, settings.start, settings.gate, timeline)
-    replay(causal, in_groups(records, settings.start_period_s))
+    replay(causal, in_groups(records, settings.start_period_s), watch)
     require_connected(causal.timeline)
     start = _best_start(causal.graph, causal.values())
     started = time.perf_counter()

@@ -40,7 +40,7 @@ from coopslam.records import (
     TriangleDecision,
     WallDecision,
 )
-from coopslam.se2 import Pose2, chain_covariance, observer_to_target_axes, xytheta
+from coopslam.se2 import Pose2, chain_covariance, observer_to_target_axes
 
 STAMP_TOLERANCE_S = 1e-6  # two stamps closer than this are the same instant
 
@@ -335,7 +335,8 @@ class Timeline:
 
 def is_motion(record: Odometry) -> bool:
     """Whether a robot may have moved; otherwise it stands, and knows it."""
-    return bool(record.cov_now.any() or xytheta(record.T_start_now).any())
+    step = record.T_start_now
+    return bool(step.x() or step.y() or step.theta() or np.any(record.cov_now))
 
 
 _MAKE = {BearingRangeFix: factors.bearing_range, RangeFix: factors.distance, BearingFix: factors.bearing}

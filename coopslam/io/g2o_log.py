@@ -58,7 +58,7 @@ def _add_vertices(path: Path, read: G2oGraph, graph: PoseGraph) -> None:
         if not 0 <= node < 1 << 64:
             raise BadInput(f"{where}: expected an id of zero or more, below 2^64")
         name = (keys or {}).get(node, {}).get("landmark", _symbol(node, "landmark"))
-        if not isinstance(name, str) or not name:
+        if not _is_name(name):
             raise BadInput(f"{keys_path}: id {node}: the landmark {shown(name)}; expected a name")
         graph.add_point(where, node, name)
 
@@ -88,7 +88,7 @@ def _by_key(node: int, keys: dict[int, dict], keys_path: Path) -> Node:
         what = "map corners and other vertices with a direction are no landmarks of a log; read the run's log.mcap"
         raise BadInput(f"{where} is {shown(key)}, not a robot's pose: {what}")
     robot, index = key["robot"], key.get("index")
-    if not isinstance(robot, str) or not robot:
+    if not _is_name(robot):
         raise BadInput(f"{where}: the robot {shown(robot)}; expected a name")
     if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < 1 << 64:
         raise BadInput(f"{where}: the index {shown(index)}; expected a whole number, zero or more")
@@ -96,6 +96,10 @@ def _by_key(node: int, keys: dict[int, dict], keys_path: Path) -> Node:
     if not isinstance(stamp, int | float) or isinstance(stamp, bool) or not abs(stamp) <= LARGEST_STAMP_S:
         raise BadInput(f"{where}: stamp_s {shown(stamp)}; expected seconds, at most {LARGEST_STAMP_S:g}")
     return Node(robot, index, float(stamp))
+
+
+def _is_name(value) -> bool:
+    return isinstance(value, str) and 0 < len(value) <= 60 and value.isprintable()
 
 
 def _read_keys(path: Path) -> dict[int, dict]:

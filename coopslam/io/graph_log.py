@@ -101,7 +101,8 @@ class _Records:
     def _told(self, item, make) -> Record | None:
         """What `make` makes of an edge or prior. Raises BadInput where the record itself would be refused."""
         try:
-            return make(item)
+            with np.errstate(over="ignore", invalid="ignore"):  # what overflows is no record either
+                return make(item)
         except BadRecord as error:
             raise BadInput(f"{item.where}: {error}") from error
 

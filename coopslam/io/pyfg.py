@@ -36,6 +36,7 @@ _SHAPES = {
 }
 _SPATIAL = {f"{tag}{prior}" for tag in ("VERTEX_SE3:QUAT", "VERTEX_XYZ") for prior in ("", ":PRIOR")}
 _SPATIAL |= {"EDGE_SE3:QUAT", "EDGE_SE3_XYZ"}
+_LONGEST_NAME = 60
 _POSE_NAME = re.compile(r"([A-Za-z]+)([0-9]{1,15})")
 
 
@@ -97,6 +98,9 @@ def _read_line(words: list[str], graph: PoseGraph, values: dict[str, list[float]
         raise BadInput(f"{where}: {tag} takes {what}, got {shown(' '.join(words))}")
     if not abs(stamp) <= LARGEST_STAMP_S:
         raise BadInput(f"{where}: the time stamp {stamp:g}; expected seconds, at most {LARGEST_STAMP_S:g}")
+    for name in named:
+        if not name.isprintable() or len(name) > _LONGEST_NAME:
+            raise BadInput(f"{where}: the name {shown(name)}; expected up to {_LONGEST_NAME} printable characters")
     _take(tag, stamp, named, found, graph, values, where)
 
 
@@ -110,13 +114,13 @@ def _take(tag: str, stamp: float, names: list[str], numbers: list[float], graph:
             graph.add_point(where, names[0], names[0])
             values[names[0]] = numbers
         case "VERTEX_SE2:PRIOR":
-            graph.priors.append(PriorPose(where, names[0], Pose2(*numbers[:3]), _symmetric(numbers[3:], 3)))
+            graph.priors.append(PriorPose(where, names[0], Pose2(*numbers[:3]), _covariance(numbers[3:], where)))
         case "VERTEX_XY:PRIOR":
-            graph.priors.append(PriorPoint(where, names[0], np.array(numbers[:2]), _symmetric(numbers[2:], 2)))
+            graph.priors.append(PriorPoint(where, names[0], np.array(numbers[:2]), _covariance(numbers[2:], where)))
         case "EDGE_SE2":
-            graph.edges.append(RelativePose(where, *names, Pose2(*numbers[:3]), _symmetric(numbers[3:], 3)))
+            graph.edges.append(RelativePose(where, *names, Pose2(*numbers[:3]), _covariance(numbers[3:], where)))
         case "EDGE_SE2_XY":
-            graph.edges.append(Point(where, *names, np.array(numbers[:2]), _symmetric(numbers[2:], 2)))
+            graph.edges.append(Point(where, *names, np.array(numbers[:2]), _covariance(numbers[2:], where)))
         case "EDGE_RANGE":
             range_m, variance = numbers
             if variance <= 0:
@@ -131,10 +135,16 @@ def _robot_and_index(name: str, where: str) -> tuple[str, int]:
     return found[1], int(found[2])
 
 
-def _symmetric(upper: list[float], size: int) -> np.ndarray:
-    """(size, size) matrix from its upper triangle, row by row."""
-    if size == 2:
+def _covariance(upper: list[float], where: str) -> np.ndarray:
+    """(2, 2) or (3, 3) from its upper triangle, row by row. Raises BadInput when it is not positive definite."""
+    if len(upper) == 3:
         xx, xy, yy = upper
-        return np.array([[xx, xy], [xy, yy]])
-    xx, xy, xt, yy, yt, tt = upper
-    return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
+        cov = np.array([[xx, xy], [xy, yy]])
+    else:
+        xx, xy, xt, yy, yt, tt = upper
+        cov = np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
+    try:
+        np.linalg.cholesky(cov)
+    except np.linalg.LinAlgError as error:
+        raise BadInput(f"{where}: the covariance {shown(upper)}; expected a positive definite one") from error
+    return cov

@@ -1,0 +1,47 @@
+"""What the figures of a replayed log show: estimators on the same records, as plain numbers in SI units and radians."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotErrors:
+    """One robot by one estimator, over time; everything that needs truth is empty without it."""
+
+    stamps_s: np.ndarray  # (N,) s after the beginning of the log
+    path: np.ndarray  # (N, 2) m, in the frame of the truth where there is one
+    position_sigmas_m: np.ndarray  # (N,) along the worst direction; empty when the estimator has no covariances
+    error_stamps_s: np.ndarray  # (M,) where the truth covers the estimate
+    position_errors_m: np.ndarray  # (M,)
+    heading_errors_rad: np.ndarray  # (M,) signed
+    error_sigmas_m: np.ndarray  # (M,) as position_sigmas_m
+    heading_sigmas_rad: np.ndarray  # (M,)
+    nees: np.ndarray  # (M,) 3 degrees of freedom; in the frame of the first robot's start; NaN of the anchored pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimatorView:
+    """One estimator on the log."""
+
+    name: str
+    scores: dict  # as in summary.json: ate_rmse_m, heading_rmse_rad, causal_ate_rmse_m, nees_mean, wall_seconds, ...
+    robots: dict[str, RobotErrors]  # final
+    causal: dict[str, RobotErrors]  # as known at each moment, without covariances; empty when there is none
+    landmarks: dict[str, np.ndarray]  # (2,) m, frame of the paths
+    landmark_covariances: dict[str, np.ndarray]  # (2, 2) m^2, the same axes
+    latencies_s: np.ndarray  # (U,) of each update; empty for one that takes everything at once
+    latency_poses: np.ndarray  # (U,) pose variables then
+    exchange_errors_m: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (E,) the mover's, after each leg
+    note: str = ""  # why it has no result, in words
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComparisonView:
+    """Several estimators on one log."""
+
+    log: str
+    summary: dict  # log, robots, duration_s, records, estimators
+    estimators: list[EstimatorView]
+    true_paths: dict[str, np.ndarray]  # (N, 2) m; empty without truth
+    true_landmarks: dict[str, np.ndarray]

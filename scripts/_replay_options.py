@@ -1,0 +1,116 @@
+"""What replay.py and compare.py share on the command line: options, output directory, progress, the table of scores."""
+
+import argparse
+import os
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from math import degrees
+from pathlib import Path
+
+from _replay import Recording, ReplaySettings
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from coopslam.io.toml import from_mapping, load_toml
+from coopslam.report.run_directory import fresh_directory, prepare_run_directory
+
+
+def add_replay_options(parser: argparse.ArgumentParser) -> None:
+    """Options of every command that replays logs."""
+    parser.add_argument("--out", metavar="DIR", type=Path, help="output directory; default: a new one in runs/")
+    parser.add_argument("--force", action="store_true", help="overwrite results in --out")
+    parser.add_argument("--config", metavar="C.toml", type=Path, help="settings from a TOML file; options override it")
+    parser.add_argument("--ignore", choices=["nothing", "landmarks", "robots"], help="do not use sightings of these")
+    parser.add_argument(
+        "--loss", choices=["squares", "huber", "cauchy"], help="of bearings and ranges, in smoothers; default: cauchy"
+    )
+    parser.add_argument("--period", metavar="S", type=float, help="shortest time between two updates, s; default: 0.25")
+    parser.add_argument("--figures", choices=["none", "static"], help="default: static")
+
+
+def replay_settings(options: argparse.Namespace) -> ReplaySettings:
+    """Config file first, then options. Raises BadInput."""
+    settings = ReplaySettings()
+    if options.config is not None:
+        settings = from_mapping(ReplaySettings, load_toml(options.config), str(options.config))
+    given = {name: getattr(options, name) for name in ("ignore", "figures") if getattr(options, name) is not None}
+    settings, estimation = replace(settings, **given), settings.estimation
+    if options.loss is not None:
+        loss = replace(estimation.timeline.loss, kind=options.loss)
+        estimation = replace(estimation, timeline=replace(estimation.timeline, loss=loss))
+    if options.period is not None:
+        estimation = replace(estimation, period_s=options.period)
+    return replace(settings, estimation=estimation)
+
+
+def output_directory(options: argparse.Namespace, name: str) -> Path:
+    """The directory of --out, or a new one under runs/. Raises BadInput when it holds results already."""
+    out = options.out or fresh_directory(Path("runs") / slug(name))
+    prepare_run_directory(out, options.force)
+    return out
+
+
+def slug(name: str) -> str:
+    """A log's name as part of a path."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".")[:80] or "log"
+
+
+@contextmanager
+def progress(recording: Recording, names: Sequence[str]) -> Iterator[Callable[[float], None]]:
+    """A bar over the log's time on a terminal, one line elsewhere; gives what is to be told each stamp."""
+    console = Console()
+    if not console.is_terminal or os.environ.get("CI"):
+        print(f"replaying {recording.log.name}: {', '.join(names)}", flush=True)
+        yield lambda stamp_s: None
+        return
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task(
+            f"{recording.log.name}: {', '.join(names)}", total=recording.records[-1].stamp_s - recording.start_s
+        )
+        yield lambda stamp_s: bar.update(task, completed=stamp_s - recording.start_s)
+
+
+def print_scores(summary: dict) -> None:
+    """A table of the estimators."""
+    table = Table(title=f"{summary['log']}: {len(summary['robots'])} robots, {summary['duration_s']:.1f} s")
+    table.add_column("estimator")
+    for column in ("ATE m", "heading deg", "causal ATE m", "NEES (3)", "landmarks m", "time s", "p99 ms"):
+        table.add_column(column, justify="right")
+    for name, scores in summary["estimators"].items():
+        if "failed" in scores:
+            table.add_row(name, scores["failed"])
+            continue
+        heading, latency = scores.get("heading_rmse_rad"), scores.get("latency_p99_seconds")
+        table.add_row(
+            name,
+            _shown(scores.get("ate_rmse_m"), ".4f"),
+            _shown(None if heading is None else degrees(heading), ".2f"),
+            _shown(scores.get("causal_ate_rmse_m"), ".4f"),
+            _shown(scores.get("nees_mean"), ".2f"),
+            _shown(scores.get("landmark_rmse_m"), ".4f"),
+            _shown(scores["wall_seconds"], ".1f"),
+            _shown(None if latency is None else 1e3 * latency, ".1f"),
+        )
+    Console().print(table)
+
+
+def print_spread(estimators: dict, logs: int) -> None:
+    """Median and quartiles over several logs."""
+    table = Table(title=f"{logs} logs: median (quartiles)")
+    table.add_column("estimator")
+    columns = [("ate_rmse_m", "ATE m"), ("causal_ate_rmse_m", "causal ATE m"), ("nees_mean", "NEES (3)")]
+    for _, heading in columns:
+        table.add_column(heading, justify="right")
+    for name, scores in estimators.items():
+        cells = [scores.get(key) for key, _ in columns]
+        table.add_row(
+            name, *("" if c is None else f"{c['median']:.4f} ({c['q25']:.4f}, {c['q75']:.4f})" for c in cells)
+        )
+    Console().print(table)
+
+
+def _shown(number: float | None, form: str) -> str:
+    return "" if number is None else format(number, form)

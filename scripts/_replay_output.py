@@ -1,0 +1,147 @@
+"""What replays leave behind: a summary, trajectories, a pose graph, and what their figures show."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from _replay import Outcome, Recording
+
+from coopslam.estimation.estimate import Trajectory
+from coopslam.estimation.replay import Replay
+from coopslam.evaluation.replay_score import ReplayScore, score_replay
+from coopslam.evaluation.trajectory_error import PoseErrors, TeamErrors
+from coopslam.io.geojson import feature, write_feature_collection
+from coopslam.io.tum import write_tum
+from coopslam.report.comparison_view import ComparisonView, EstimatorView, RobotErrors
+from coopslam.se2 import Pose2, largest_sigma, position, rotation
+
+
+def score(outcome: Outcome, recording: Recording) -> ReplayScore | None:
+    """Errors and times of an estimator that came to an estimate."""
+    if outcome.replay is None:
+        return None
+    truth = recording.truth
+    return score_replay(outcome.replay, truth and truth.robots, truth and truth.landmarks)
+
+
+def summarize(recording: Recording, outcomes: Sequence[Outcome], scored: Sequence[ReplayScore | None]) -> dict:
+    """The figures of CONTRACT; everything but keys that end in _seconds is the same for the same settings."""
+    header = recording.header
+    estimators = {}
+    for outcome, result in zip(outcomes, scored, strict=True):
+        estimators[outcome.name] = {"failed": outcome.failure} if result is None else result.scores
+    return {
+        "log": str(recording.path),
+        "robots": list(header.robots),
+        "landmarks": list(header.landmarks),
+        "duration_s": recording.records[-1].stamp_s - recording.start_s,
+        "records": recording.counts(),
+        "truth": sorted(recording.truth.robots) if recording.truth else [],
+        "estimators": estimators,
+        "load_seconds": recording.load_seconds,
+    }
+
+
+def spread(summaries: Sequence[dict]) -> dict:
+    """Median and quartiles of every number that an estimator has in several summaries, and in how many of them."""
+    result = {}
+    for name in dict.fromkeys(name for summary in summaries for name in summary["estimators"]):
+        all_scores = [summary["estimators"].get(name, {}) for summary in summaries]
+        result[name] = {"logs": sum("failed" not in scores for scores in all_scores)}
+        for key in dict.fromkeys(key for scores in all_scores for key in scores):
+            numbers = [scores[key] for scores in all_scores if isinstance(scores.get(key), int | float)]
+            if numbers:
+                low, middle, high = np.percentile(numbers, [25, 50, 75]).tolist()
+                result[name][key] = {"median": middle, "q25": low, "q75": high, "count": len(numbers)}
+    return result
+
+
+def write_trajectories(directory: Path, score: ReplayScore) -> None:
+    """ROBOT.tum, final, and ROBOT.causal.tum, as known at each moment; stamps on the log's own clock."""
+    directory.mkdir(parents=True, exist_ok=True)
+    for robot, trajectory in score.final.items():
+        write_tum(directory / f"{robot}.tum", trajectory.stamps_s, trajectory.poses)
+    for robot, trajectory in score.causal.items():
+        write_tum(directory / f"{robot}.causal.tum", trajectory.stamps_s, trajectory.poses)
+
+
+def write_landmarks(path: Path, replay: Replay) -> None:
+    """map.geojson with a Point of kind landmark for each: name and covariance, m^2, axes of the map."""
+    estimate = replay.estimate
+    features = []
+    for name in estimate.landmarks:
+        belief = estimate.landmark_belief(name)
+        point = [float(belief.xy[0]), float(belief.xy[1])]
+        features.append(feature("landmark", "Point", point, name=name, covariance=belief.cov.tolist()))
+    write_feature_collection(path, features)
+
+
+def view_of(
+    recording: Recording, summary: dict, outcomes: Sequence[Outcome], scored: Sequence[ReplayScore | None]
+) -> ComparisonView:
+    """What figures and report show; paths are in the frame of the truth where there is one."""
+    truth = recording.truth
+    paths = {robot: _points(track.poses) for robot, track in truth.robots.items()} if truth else {}
+    views = [_estimator(recording, *pair) for pair in zip(outcomes, scored, strict=True)]
+    return ComparisonView(recording.log.name, summary, views, paths, dict(truth.landmarks) if truth else {})
+
+
+def _estimator(recording: Recording, outcome: Outcome, score: ReplayScore | None) -> EstimatorView:
+    if score is None:
+        empty = np.zeros(0)
+        return EstimatorView(outcome.name, {}, {}, {}, {}, {}, empty, empty, note=outcome.failure)
+    estimate, causal_updates = outcome.replay.estimate, len(outcome.replay.poses) > 1
+    to_truth = score.errors.T_truth_estimate if score.errors else Pose2()
+    turn = rotation(to_truth.theta())
+    beliefs = {name: estimate.landmark_belief(name) for name in estimate.landmarks}
+    return EstimatorView(
+        outcome.name,
+        score.scores,
+        _robots(score.final, score.errors, score.nees, to_truth, recording.start_s),
+        _robots(score.causal, score.causal_errors, {}, to_truth, recording.start_s),
+        {name: to_truth.transformFrom(belief.xy) for name, belief in beliefs.items()},
+        {name: turn @ belief.cov @ turn.T for name, belief in beliefs.items()},
+        outcome.replay.latencies_s if causal_updates else np.zeros(0),
+        outcome.replay.poses if causal_updates else np.zeros(0),
+    )
+
+
+def _robots(
+    trajectories: dict[str, Trajectory],
+    errors: TeamErrors | None,
+    nees: dict[str, np.ndarray],
+    to_truth: Pose2,
+    start_s: float,
+) -> dict[str, RobotErrors]:
+    result, nobody = {}, PoseErrors(*(np.zeros(0),) * 3)
+    for robot, trajectory in trajectories.items():
+        own = errors.robots.get(robot, nobody) if errors else nobody
+        matched = np.isin(trajectory.stamps_s, own.stamps_s)
+        sigmas, heading_sigmas = _sigmas(trajectory)
+        known = len(sigmas) > 0
+        judged = nees.get(robot, np.zeros(0))
+        result[robot] = RobotErrors(
+            trajectory.stamps_s - start_s,
+            _points([to_truth * pose for pose in trajectory.poses]),
+            sigmas,
+            own.stamps_s - start_s,
+            own.position_errors_m,
+            own.heading_errors_rad,
+            sigmas[matched] if known else sigmas,
+            heading_sigmas[matched] if known else heading_sigmas,
+            # the anchored pose has none
+            np.concatenate([np.full(len(own.stamps_s) - len(judged), np.nan), judged]) if len(judged) else judged,
+        )
+    return result
+
+
+def _sigmas(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) of the position along its worst direction, m, and of the heading, rad; empty without covariances."""
+    if trajectory.covariances is None:
+        return np.zeros(0), np.zeros(0)
+    positions = np.array([largest_sigma(cov[:2, :2]) for cov in trajectory.covariances])
+    return positions, np.sqrt(trajectory.covariances[:, 2, 2])
+
+
+def _points(poses) -> np.ndarray:
+    return np.array([position(pose) for pose in poses]).reshape(-1, 2)

@@ -1,0 +1,53 @@
+"""Run one estimator over a recorded log, offline: trajectories, covariances, errors where there is truth, a report."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from _cli import OneLineParser, run
+from _replay import open_recording, run_estimator
+from _replay_options import add_replay_options, output_directory, print_scores, progress, replay_settings
+from _replay_output import score, summarize, view_of, write_landmarks, write_trajectories
+
+from coopslam.estimation.estimators import BATCH, NAMES
+from coopslam.io.toml import dump_toml, to_mapping
+from coopslam.report.comparison_figures import draw_comparison
+from coopslam.report.comparison_html import write_comparison_report
+from coopslam.report.run_directory import write_json, write_pose_graph
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = OneLineParser(prog="replay.py", description=__doc__)
+    parser.add_argument(
+        "log", metavar="LOG", type=Path, help="a run directory, .mcap, MR.CLAM directory, .pyfg or .g2o"
+    )
+    parser.add_argument("--estimator", metavar="E", choices=NAMES, default=BATCH, help=f"{', '.join(NAMES)}")
+    add_replay_options(parser)
+    options = parser.parse_args(arguments)
+    settings = replay_settings(options)
+    recording = open_recording(options.log, settings)
+    out = output_directory(options, f"replay-{recording.log.name}-{options.estimator}")
+    (out / "config.toml").write_text(dump_toml(to_mapping(settings)), encoding="utf-8")
+    with progress(recording, [options.estimator]) as watch:
+        outcome = run_estimator(options.estimator, recording, settings, watch)
+    result = score(outcome, recording)
+    summary = summarize(recording, [outcome], [result])
+    write_json(out / "summary.json", summary)
+    if result is None:
+        print(f"{options.estimator}: {outcome.failure}", file=sys.stderr)
+        return outcome.exit_code
+    estimate = outcome.replay.estimate
+    write_trajectories(out / "trajectories", result)
+    write_landmarks(out / "map.geojson", outcome.replay)
+    write_pose_graph(out, estimate.graph, estimate)
+    view = view_of(recording, summary, [outcome], [result])
+    drawn = draw_comparison(view, out / "figures") if settings.figures != "none" else []
+    write_comparison_report(out / "report.html", view, drawn)
+    print_scores(summary)
+    print(f"{out / 'report.html'} and the directory {out} written")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run(main))
