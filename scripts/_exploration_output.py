@@ -22,11 +22,11 @@ from coopslam.io.toml import to_mapping
 from coopslam.io.tum import write_tum
 from coopslam.planning.dual_graph import signed_area_m2
 from coopslam.records import RelativePoseFix
+from coopslam.report.pose_graph_file import write_pose_graph
 from coopslam.report.run_directory import (
     write_dual_graph,
     write_json,
     write_map,
-    write_pose_graph,
     write_trajectory,
 )
 from coopslam.report.run_view import RunView, UncertaintyPoint

@@ -14,7 +14,8 @@ from coopslam.estimation.estimators import BATCH, NAMES
 from coopslam.io.toml import dump_toml, to_mapping
 from coopslam.report.comparison_figures import draw_comparison
 from coopslam.report.comparison_html import write_comparison_report
-from coopslam.report.run_directory import write_json, write_pose_graph
+from coopslam.report.pose_graph_file import write_pose_graph
+from coopslam.report.run_directory import write_json
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -37,10 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if result is None:
         print(f"{options.estimator}: {outcome.failure}", file=sys.stderr)
         return outcome.exit_code
-    estimate = outcome.replay.estimate
     write_trajectories(out / "trajectories", result)
     write_landmarks(out / "map.geojson", outcome.replay)
-    write_pose_graph(out, estimate.graph, estimate)
+    write_pose_graph(out, outcome.replay.graph, outcome.replay.estimate)
     view = view_of(recording, summary, [outcome], [result])
     drawn = draw_comparison(view, out / "figures") if settings.figures != "none" else []
     write_comparison_report(out / "report.html", view, drawn)

@@ -7,16 +7,15 @@ Fischler and Bolles 1981), and a least-squares fit over those that agree refines
 """
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from coopslam.errors import require_between, require_positive
-from coopslam.se2 import Pose2, adjoint, fit_pose, position, rotation, wrap, xytheta
+from coopslam.se2 import Pose2, adjoint, fit_pose, position, rotation, wrap
 
 _MOST_PROPOSALS = 600
-_STARTS = 16  # of the search over directions when there are only ranges
+_OTHER_HEADING_RAD = 0.5  # two alignments that differ by more are two answers
+_RIVAL_SHARE = 0.7  # another answer that so large a part of the agreeing pairs would support makes the choice open
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,96 +69,30 @@ def align(
     if count < settings.pairs_min:
         return None
     sigmas = np.hypot(sigmas_m, settings.drift_sigma_m)
-    angles, shifts = _proposals(points_a, points_b, sigmas * settings.gate_sigmas)
+    gates = sigmas * settings.gate_sigmas
+    angles, shifts = _proposals(points_a, points_b, gates)
     if not len(angles):
         return None
-    agree = _agreement(angles, shifts, points_a, points_b, sigmas * settings.gate_sigmas)
+    agree = _agreement(angles, shifts, points_a, points_b, gates)
     votes = agree.sum(axis=1)
     best = int(votes.argmax())
-    rivals = votes[np.abs(wrap(angles - angles[best])) > 0.5]
     chosen = agree[best]
     for _ in range(3):
         T_a_b = fit_pose(points_b[chosen], points_a[chosen], sigmas[chosen] ** -2)
         off = np.hypot(*(_moved(T_a_b, points_b) - points_a).T)
-        chosen = off <= sigmas * settings.gate_sigmas
+        chosen = off <= gates
         if chosen.sum() < settings.pairs_min:
             return None
-    if chosen.sum() < settings.share_min * count or len(rivals) and rivals.max() > 0.7 * chosen.sum():
+    rivals = votes[_is_elsewhere(angles, shifts, best, points_b[chosen].mean(axis=0), 2 * gates.max())]
+    if chosen.sum() < settings.share_min * count or rivals.max(initial=0) > _RIVAL_SHARE * chosen.sum():
         return None
-    result = _with_covariance(T_a_b, points_b[chosen], off[chosen], sigmas[chosen], settings)
+    result = _with_covariance(T_a_b, points_b[chosen], off[chosen], sigmas[chosen], settings.caution)
     return result if np.sqrt(result.cov_centre[2, 2]) <= settings.heading_sigma_max_rad * settings.caution else None
-
-
-def align_by_ranges(
-    points_a: np.ndarray, points_b: np.ndarray, ranges_m: np.ndarray, sigmas_m: np.ndarray, settings: AlignmentSettings
-) -> Alignment | None:
-    """The same from distances alone: point k of frame b is ranges_m[k] away from point k of frame a.
-
-    Least squares with a robust loss from starts all around; None when two different answers fit about as well.
-    """
-    if len(ranges_m) < settings.ranges_min:
-        return None
-    sigmas = np.hypot(sigmas_m, settings.drift_sigma_m)
-
-    def residuals(state: np.ndarray) -> np.ndarray:
-        there = points_b @ rotation(state[2]).T + state[:2]
-        return (np.hypot(*(there - points_a).T) - ranges_m) / sigmas
-
-    found = []
-    middle_a, middle_b, reach = points_a.mean(axis=0), points_b.mean(axis=0), float(np.median(ranges_m))
-    for angle in np.linspace(-np.pi, np.pi, _STARTS, endpoint=False):
-        for side in np.linspace(-np.pi, np.pi, 4, endpoint=False):
-            start = middle_a + reach * np.array([np.cos(side), np.sin(side)]) - rotation(angle) @ middle_b
-            found.append(least_squares(residuals, [*start, angle], loss="cauchy", max_nfev=60))
-    found.sort(key=lambda result: result.cost)
-    T_a_b = Pose2(*found[0].x)
-    others = [result for result in found if _differ(T_a_b, Pose2(*result.x), middle_b, sigmas)]
-    if others and others[0].cost < 1.5 * found[0].cost + 5.0:
-        return None
-    chosen = np.abs(residuals(found[0].x)) <= settings.gate_sigmas
-    if chosen.sum() < settings.share_min * len(ranges_m):
-        return None
-    information = found[0].jac.T @ found[0].jac
-    if np.linalg.cond(information) > 1e12:
-        return None
-    at_origin = np.linalg.inv(information) * settings.caution**2  # of (x, y, angle), x and y in the axes of a
-    turn = np.eye(3)
-    turn[:2, :2] = rotation(-T_a_b.theta())
-    carry = adjoint(Pose2(*middle_b, 0.0).inverse())
-    cov = carry @ turn @ at_origin @ turn.T @ carry.T
-    if np.sqrt(cov[2, 2]) > settings.heading_sigma_max_rad * settings.caution:
-        return None
-    return Alignment(T_a_b, middle_b, cov, int(chosen.sum()))
-
-
-def locate(points: np.ndarray, ranges_m: np.ndarray, sigmas_m: np.ndarray) -> np.ndarray | None:
-    """(2,) a point from its distances to (N, 2) points; None when two different places fit about as well."""
-    if len(ranges_m) < 4:
-        return None
-
-    def residuals(xy: np.ndarray) -> np.ndarray:
-        return (np.hypot(*(points - xy).T) - ranges_m) / sigmas_m
-
-    reach = float(np.median(ranges_m))
-    around = np.linspace(-np.pi, np.pi, _STARTS, endpoint=False)
-    starts = points.mean(axis=0) + reach * np.stack([np.cos(around), np.sin(around)], axis=1)
-    found = sorted((least_squares(residuals, s, loss="cauchy") for s in starts), key=lambda result: result.cost)
-    best, sigma = found[0], float(np.median(sigmas_m))
-    others = [result for result in found if np.hypot(*(result.x - best.x)) > 10 * sigma + 0.1]
-    if others and others[0].cost < 1.5 * best.cost + 5.0:
-        return None
-    return best.x if np.median(np.abs(residuals(best.x))) < 3.0 else None
 
 
 def _proposals(points_a: np.ndarray, points_b: np.ndarray, gates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(M,) angles and (M, 2) shifts by which two points of b come upon their partners in a."""
-    count = len(points_a)
-    if count * (count - 1) // 2 <= _MOST_PROPOSALS:
-        i, j = np.array(list(combinations(range(count), 2))).T
-    else:  # each with some others, near and far in the list
-        strides = np.unique(np.geomspace(1, count // 2, max(_MOST_PROPOSALS // count, 2)).astype(int))
-        i = np.tile(np.arange(count), len(strides))
-        j = (i + np.repeat(strides, count)) % count
+    i, j = _choices(len(points_a))
     a, b = points_a[j] - points_a[i], points_b[j] - points_b[i]
     long_a, long_b = np.hypot(*a.T), np.hypot(*b.T)
     gate = gates[i] + gates[j]
@@ -168,6 +101,16 @@ def _proposals(points_a: np.ndarray, points_b: np.ndarray, gates: np.ndarray) ->
     angles = np.arctan2(a[:, 1], a[:, 0]) - np.arctan2(b[:, 1], b[:, 0])
     middle_b = (points_b[i] + points_b[j]) / 2
     return angles, (points_a[i] + points_a[j]) / 2 - _turned(angles, middle_b)
+
+
+def _choices(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Two different ones of so many, in all ways; of too many ways some of each distance in the list."""
+    if count * (count - 1) // 2 <= _MOST_PROPOSALS:
+        return np.triu_indices(count, 1)
+    strides = np.unique(np.geomspace(1, count // 2, max(_MOST_PROPOSALS // count, 12)).astype(int))
+    chosen = np.linspace(0, count * len(strides) - 1, _MOST_PROPOSALS).astype(int)
+    i = chosen % count
+    return i, (i + strides[chosen // count]) % count
 
 
 def _agreement(
@@ -180,21 +123,28 @@ def _agreement(
     return np.hypot(x, y) <= gates
 
 
+def _is_elsewhere(
+    angles: np.ndarray, shifts: np.ndarray, best: int, centre_b: np.ndarray, distance_m: float
+) -> np.ndarray:
+    """(M,) whether a proposal is another answer than the best one: turned, or with the centre at another place."""
+    centres = _turned(angles, centre_b[None]) + shifts
+    apart = np.hypot(*(centres - centres[best]).T)
+    return (np.abs(wrap(angles - angles[best])) > _OTHER_HEADING_RAD) | (apart > distance_m)
+
+
 def _with_covariance(
-    T_a_b: Pose2, points_b: np.ndarray, off: np.ndarray, sigmas: np.ndarray, settings: AlignmentSettings
+    T_a_b: Pose2, points_b: np.ndarray, off: np.ndarray, sigmas: np.ndarray, caution: float
 ) -> Alignment:
-    """First order: shift and turn of a rigid fit about the centre of its points are independent."""
-    variance = max(float(np.mean(off**2)) / 2, float(np.mean(sigmas**2))) * settings.caution**2
-    centre = points_b.mean(axis=0)
-    arms = float(((points_b - centre) ** 2).sum())
-    cov = np.diag([variance / len(points_b), variance / len(points_b), variance / max(arms, 1e-12)])
+    """First order: shift and turn of a weighted rigid fit about the weighted centre of its points are independent.
+
+    Where the points fit worse than their sigmas say, the sigmas are scaled up.
+    """
+    weights = sigmas**-2
+    scale = max(float(np.mean(weights * off**2)) / 2, 1.0) * caution**2
+    centre = weights @ points_b / weights.sum()
+    arms = float(weights @ ((points_b - centre) ** 2).sum(axis=1))
+    cov = scale * np.diag([1 / weights.sum(), 1 / weights.sum(), 1 / max(arms, 1e-12)])
     return Alignment(T_a_b, centre, cov, len(points_b))
-
-
-def _differ(one: Pose2, other: Pose2, point: np.ndarray, sigmas: np.ndarray) -> bool:
-    """Whether two alignments are different answers and not the same one found twice."""
-    apart = np.hypot(*(position(one * Pose2(*point, 0.0)) - position(other * Pose2(*point, 0.0))))
-    return apart > 10 * np.median(sigmas) + 0.1 or abs(wrap(xytheta(one)[2] - xytheta(other)[2])) > 0.3
 
 
 def _moved(T_a_b: Pose2, points_b: np.ndarray) -> np.ndarray:
@@ -204,24 +154,3 @@ def _moved(T_a_b: Pose2, points_b: np.ndarray) -> np.ndarray:
 def _turned(angles: np.ndarray, points: np.ndarray) -> np.ndarray:
     c, s = np.cos(angles), np.sin(angles)
     return np.stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]], axis=1)
-
-
-def intersect(points: np.ndarray, directions_rad: np.ndarray, sigmas_rad: np.ndarray) -> np.ndarray | None:
-    """(2,) where rays from (N, 2) points meet; None when they are too few or too nearly parallel, or meet behind."""
-    if len(points) < 3:
-        return None
-    along = np.stack([np.cos(directions_rad), np.sin(directions_rad)], axis=1)
-    normals = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    offsets = (normals * points).sum(axis=1)
-    weights = np.ones(len(points))
-    for _ in range(2):  # a ray's distance from the point grows with its length
-        information = (normals * weights[:, None]).T @ normals
-        if np.linalg.eigvalsh(information)[0] < 1e-6 * weights.sum():
-            return None
-        meeting = np.linalg.solve(information, (normals * weights[:, None]).T @ offsets)
-        lengths = ((meeting - points) * along).sum(axis=1)
-        if (lengths <= 0).any():
-            return None
-        weights = 1.0 / (lengths * sigmas_rad) ** 2
-    sigma = np.sqrt(1.0 / np.linalg.eigvalsh((normals * weights[:, None]).T @ normals)[0])
-    return meeting if sigma < 0.2 * np.median(lengths) else None

@@ -23,6 +23,7 @@ class DeadReckoning:
 
     def __init__(self, robots: Iterable[str], landmarks: Iterable[str] = (), timeline: TimelineSettings | None = None):
         self.timeline = Timeline(robots, landmarks, timeline)
+        self.graph = gtsam.NonlinearFactorGraph()  # everything so far, for a batch solve
         self.timing = 0.0  # s spent in updates
         self._gate = Gate(self.timeline, GateSettings())  # the fix that places a robot is none that others contradict
         self._estimate = DeadReckoningEstimate(self.timeline)
@@ -34,6 +35,7 @@ class DeadReckoning:
         placed = all(map(self.timeline.is_placed, self.timeline.robots))
         refusals = {} if placed else self._gate.refusals(records, self._estimate)
         growth = self.timeline.extend(records, self._estimate.any_value, refusals)
+        self.graph.push_back(growth.graph)
         self._estimate.grow(growth.tree, growth.values)
         self._estimate.keep_causal(growth.poses)
         self.timing += time.perf_counter() - began

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import gtsam
 import numpy as np
 
 from coopslam.errors import BadInput, UnderDetermined
@@ -173,6 +174,7 @@ class Estimator(Protocol):
     """Takes records in groups, as they come, and tells what it makes of all of them so far."""
 
     timeline: Timeline
+    graph: gtsam.NonlinearFactorGraph  # everything so far
     timing: float  # s spent in updates
 
     def update(self, records: Iterable[Record]) -> Estimate:

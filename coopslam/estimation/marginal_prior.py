@@ -109,8 +109,8 @@ class MarginalPrior:
 def eliminated(linear: gtsam.GaussianFactorGraph, values: gtsam.Values, leaving: Sequence[int]) -> MarginalPrior | None:
     """What a linear graph says of its other variables, of which one is a pose, once the leaving poses are eliminated.
 
-    None when it says nothing.  values: where it was linearized.  By a dense QR decomposition, in which nothing is squared; GTSAM's, because that
-    of numpy starts threads, which cost more than they give where other processes want the cores.
+    None when it says nothing.  values: where it was linearized.  By a dense QR decomposition, in which nothing is
+    squared; GTSAM's, because that of numpy starts threads, which are slow where other processes want the cores.
     Raises RuntimeError when a leaving pose is not tied down.
     """
     ordering = gtsam.Ordering()

@@ -7,20 +7,24 @@ approximation for graph-based simultaneous localization and mapping, RSS 2011).
 """
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import gtsam
 
 from coopslam.errors import UnderDetermined, require_between
+from coopslam.estimation import deep_stack
+from coopslam.estimation.assembly import Seen
 from coopslam.estimation.batch import BatchEstimate
 from coopslam.estimation.gate import GateSettings
 from coopslam.estimation.incremental import Incremental, IncrementalSettings
 from coopslam.estimation.replay import in_groups, replay
 from coopslam.estimation.robust import RobustSettings, RobustSolution, solve_robust
-from coopslam.estimation.timeline import TimelineSettings
+from coopslam.estimation.timeline import Timeline, TimelineSettings
 from coopslam.records import Record
 
+_LAGO_MOST = 20_000  # variables; its time grows with their square: 1 s for 5 000, 26 s for 30 000
+_NAMED = 3  # of those that a robot saw, or that saw it, in a message
 _RELATIVE_POSES = gtsam.BetweenFactorPose2 | gtsam.PriorFactorPose2
 
 
@@ -76,22 +80,39 @@ def smooth(
 
 def _best_start(graph: gtsam.NonlinearFactorGraph, causal: gtsam.Values) -> gtsam.Values:
     """The causal values, or those of lago where it applies and fits better."""
-    if not all(isinstance(graph.at(i), _RELATIVE_POSES) for i in range(graph.size())):
+    size = causal.size()
+    if size > _LAGO_MOST or not all(isinstance(graph.at(i), _RELATIVE_POSES) for i in range(graph.size())):
         return causal
     try:
-        linear = gtsam.lago.initialize(graph, False)
+        linear = deep_stack.call(gtsam.lago.initialize, graph, False, variables=size)
     except RuntimeError:
         return causal
-    complete = linear.size() == causal.size() and all(map(linear.exists, causal.keys()))
+    complete = linear.size() == size and all(map(linear.exists, causal.keys()))
     return linear if complete and graph.error(linear) < graph.error(causal) else causal
 
 
-def require_connected(timeline) -> None:
-    """Raises UnderDetermined that names the robots which have records and no place in the common frame, and why."""
+def require_connected(timeline: Timeline) -> None:
+    """Raises UnderDetermined when robots that have records have no place in the common frame; says what they saw."""
     lost = [robot for robot in timeline.robots if timeline.tracks[robot].keys and not timeline.is_placed(robot)]
     if lost:
         are = "is" if len(lost) == 1 else "are"
         raise UnderDetermined(
-            f"{', '.join(lost)} {are} not connected to {timeline.robots[0]}: too few sightings of each other and of "
-            "common landmarks say where they started"
+            f"{', '.join(lost)} {are} not connected to {timeline.robots[0]}, too little says where they started: "
+            + "; ".join(_sightings(timeline, robot) for robot in lost)
         )
+
+
+def _sightings(timeline: Timeline, robot: str) -> str:
+    """What a robot saw and who saw it, in words."""
+    sees = {target: seen for (observer, target), seen in timeline.seen.items() if observer == robot}
+    seen_by = {observer: seen for (observer, target), seen in timeline.seen.items() if target == robot}
+    saw = f"sees only {_times(sees)}" if sees else "sees nothing"
+    return f"{robot} {saw} and is {f'seen only by {_times(seen_by)}' if seen_by else 'never seen'}"
+
+
+def _times(seen: Mapping[str, Seen]) -> str:
+    """Whom, how often, and until when; those that were seen most often."""
+    most = sorted(seen, key=lambda name: -seen[name].times)
+    listed = ", ".join(f"{name} ({seen[name].times} times)" for name in most[:_NAMED])
+    more = f" and {len(most) - _NAMED} more" if len(most) > _NAMED else ""
+    return f"{listed}{more}, last at t = {max(entry.last_s for entry in seen.values()):.1f} s"

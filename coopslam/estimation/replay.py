@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
+import gtsam
 import numpy as np
 
 from coopslam.estimation.estimate import Estimate, Estimator
@@ -16,6 +17,7 @@ class Replay:
     """What an estimator made of a log."""
 
     estimate: Estimate  # after the last update
+    graph: gtsam.NonlinearFactorGraph  # what it used of the records
     stamps_s: np.ndarray  # (N,) of the last record of each update
     latencies_s: np.ndarray  # (N,) wall time of each update
     poses: np.ndarray  # (N,) pose variables after each update
@@ -67,4 +69,4 @@ def replay(
         watch(group[-1].stamp_s)
     if estimate is None:
         raise ValueError("nothing to replay")
-    return Replay(estimate, np.array(stamps), np.array(latencies), np.array(poses), placed)
+    return Replay(estimate, estimator.graph, np.array(stamps), np.array(latencies), np.array(poses), placed)

@@ -95,8 +95,8 @@ def bound_on_ate(graph: gtsam.NonlinearFactorGraph, estimate: Estimate, truth: E
         for key, pose in zip(estimate.timeline.tracks[robot].keys, poses, strict=True):
             values.insert(key, T_start_world * pose)
             keys.append(key)
-    for vertex, corner in truth.corner_of.items():
-        values.insert(estimate.vertex_key(vertex), T_start_world * truth.corners[corner])
+    for vertex in estimate.vertices:
+        values.insert(estimate.vertex_key(vertex), T_start_world * truth.corners[truth.corner_of[vertex]])
     return bound_rmse_aligned(graph, values, keys)
 
 

@@ -2,9 +2,11 @@
 
     VERTEX_SE2 id x y theta              VERTEX_XY id x y              FIX id
     EDGE_SE2 start end x y theta I       EDGE_SE2_XY start end x y I   EDGE_BEARING_SE2_XY start end bearing I
+    EDGE_RANGE_SE2_XY start end range I
 
 I is the upper triangle of the information matrix, row by row. A bearing to a pose (a wall between two oriented corners)
-has no tag in g2o: it is written as EDGE_BEARING_SE2, which other readers skip instead of taking it for something else.
+has no tag in g2o, nor has the range or the position of a pose that was seen without its heading: they are written as
+EDGE_BEARING_SE2, EDGE_RANGE_SE2 and EDGE_POSITION_SE2, which other readers skip instead of misunderstanding them.
 `gtsam.readG2o` reads EDGE_SE2 and skips the other edges; it drops every edge that follows a FIX or a comment, so FIX
 comes last and comments are not written.
 """
@@ -33,7 +35,7 @@ class PoseEdge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointEdge:
-    """A point as the start pose sees it; the information is in the axes of the start pose."""
+    """A point, or a pose's position, as the start pose sees it; the information is in the axes of the start pose."""
 
     start: int
     end: int
@@ -51,7 +53,17 @@ class BearingEdge:
     information: float  # 1 / rad^2
 
 
-G2oEdge = PoseEdge | PointEdge | BearingEdge
+@dataclass(frozen=True, slots=True, eq=False)
+class RangeEdge:
+    """The distance of a point, or of a pose's position, from the start pose."""
+
+    start: int
+    end: int
+    range_m: float
+    information: float  # 1 / m^2
+
+
+G2oEdge = PoseEdge | PointEdge | BearingEdge | RangeEdge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,6 +131,9 @@ _SHAPES = {
     "EDGE_SE2_XY": (2, 5),
     "EDGE_BEARING_SE2_XY": (2, 2),
     "EDGE_BEARING_SE2": (2, 2),
+    "EDGE_RANGE_SE2_XY": (2, 2),
+    "EDGE_RANGE_SE2": (2, 2),
+    "EDGE_POSITION_SE2": (2, 5),
 }
 
 
@@ -142,10 +157,12 @@ def _read_line(words: list[str], graph: G2oGraph, where: str) -> None:
         graph.fixed.extend(ids)
     elif tag == "EDGE_SE2":
         graph.edges.append(PoseEdge(*ids, Pose2(*values[:3]), _symmetric(values[3:], 3)))
-    elif tag == "EDGE_SE2_XY":
+    elif tag in ("EDGE_SE2_XY", "EDGE_POSITION_SE2"):
         graph.edges.append(PointEdge(*ids, np.array(values[:2]), _symmetric(values[2:], 2)))
-    else:
+    elif "BEARING" in tag:
         graph.edges.append(BearingEdge(*ids, *values))
+    else:
+        graph.edges.append(RangeEdge(*ids, *values))
 
 
 def _by_id(poses, points) -> tuple[dict[int, Pose2], dict[int, np.ndarray]]:
@@ -164,6 +181,12 @@ def _edge_line(edge: G2oEdge, poses: Mapping, points: Mapping) -> str:
                 return _line("EDGE_SE2", ids, [*xytheta(edge.T_start_end), *_upper_triangle(edge.information, 3)])
             case PointEdge() if edge.end in points:
                 return _line("EDGE_SE2_XY", ids, [*edge.xy, *_upper_triangle(edge.information, 2)])
+            case PointEdge() if edge.end in poses:
+                return _line("EDGE_POSITION_SE2", ids, [*edge.xy, *_upper_triangle(edge.information, 2)])
+            case RangeEdge() if edge.end in points:
+                return _line("EDGE_RANGE_SE2_XY", ids, [edge.range_m, edge.information])
+            case RangeEdge() if edge.end in poses:
+                return _line("EDGE_RANGE_SE2", ids, [edge.range_m, edge.information])
             case BearingEdge() if edge.end in points:
                 return _line("EDGE_BEARING_SE2_XY", ids, [edge.bearing_rad, edge.information])
             case BearingEdge() if edge.end in poses:

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from coopslam.errors import BadInput, shown
-from coopslam.io.g2o import BearingEdge, G2oEdge, G2oGraph, PointEdge, PoseEdge, read_g2o
+from coopslam.io.g2o import BearingEdge, G2oEdge, G2oGraph, PointEdge, PoseEdge, RangeEdge, read_g2o
 from coopslam.io.geojson import read_json
 from coopslam.io.graph_log import graph_log
 from coopslam.io.log import Log, Truth
 from coopslam.io.number_table import LARGEST_STAMP_S, is_there
-from coopslam.io.pose_graph import Direction, Edge, Node, Point, PoseGraph, RelativePose
+from coopslam.io.pose_graph import Direction, Distance, Edge, Node, Point, PoseGraph, RelativePose
 
 ONE_ROBOT = "robot"
 _INDEX_BITS = 56  # of a GTSAM symbol; its letter is in the byte above
@@ -122,6 +122,10 @@ def _edge(edge: G2oEdge, where: str) -> Edge:
             if edge.information <= 0:
                 raise BadInput(f"{where}: the information {edge.information:g}; expected more than zero")
             return Direction(where, edge.start, edge.end, edge.bearing_rad, 1.0 / sqrt(edge.information))
+        case RangeEdge():
+            if edge.information <= 0:
+                raise BadInput(f"{where}: the information {edge.information:g}; expected more than zero")
+            return Distance(where, edge.start, edge.end, edge.range_m, 1.0 / sqrt(edge.information))
 
 
 def _inverse(information: np.ndarray, where: str) -> np.ndarray:

@@ -21,7 +21,7 @@ from coopslam.report.comparison_panels import (
     number,
     unit_of,
 )
-from coopslam.report.comparison_view import ComparisonView, EstimatorView
+from coopslam.report.comparison_view import ComparisonView, EstimatorView, study_of
 from coopslam.report.number_text import digits, length
 from coopslam.report.study_panels import HUES, MARKERS, ODOMETRY_DASHES, log_scale
 
@@ -231,7 +231,11 @@ def draw_consistency(view: ComparisonView) -> Figure | None:
             comparison_panels.draw_nis(axes, estimator.scores["nis"], limits)
         elif len(columns) == 2:
             axes.remove()
-    for axes, estimator in zip(grid[:, 0], shown, strict=True):
+        if not with_nees:  # the names of kinds stand where that of the row would be
+            axes.set_title(
+                f"{plain(estimator.name, 22)}: {axes.get_title('left')}", fontsize=canvas.LABEL_PT, loc="left"
+            )
+    for axes, estimator in zip(grid[:, 0], shown if with_nees else (), strict=False):
         _name_row(axes, estimator)
     drawn = {name for e in with_nees for name, robot in e.robots.items() if len(judged_poses(robot)[0])}
     handles = _robot_handles(view, drawn, 3.0)
@@ -354,8 +358,8 @@ def draw_study(rows: Sequence[Mapping], folder: Path) -> list[Path]:
     rows: one for each estimator on each run, with log or seed, noise, role_exchanges, estimator, ate_rmse_m,
     causal_ate_rmse_m, crlb_ratio, nees_mean; None or absent where there is none. Medians with quartiles over the runs.
     """
-    study = comparison_panels.study_of(rows)
-    shown = [q for q in comparison_panels.STUDIED if np.isfinite(study.column(q.column)).any()]
+    study = study_of(rows)
+    shown = comparison_panels.quantities_of(study)
     if not shown:
         return []
     noises, exchanges, estimators = study.dimensions
@@ -378,7 +382,7 @@ def draw_study(rows: Sequence[Mapping], folder: Path) -> list[Path]:
         for g, label in enumerate(estimators.labels)
     ]
     handles.append(Patch(facecolor=MUTED, alpha=0.3, label="between the quartiles of the runs"))
-    if np.isfinite(study.column("causal_ate_rmse_m")).any():
+    if any(quantity.beside for quantity in shown):
         style = {"color": MUTED, "marker": "o", "mfc": "white", "ls": ODOMETRY_DASHES}
         handles.append(Line2D([], [], **style, label="causal: as known at each moment"))
     handles.append(Line2D([], [], color=MUTED, ls="--", lw=1.2, label="expected when honest and efficient"))

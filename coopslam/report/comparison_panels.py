@@ -4,7 +4,7 @@ Long logs are thinned for drawing only: every number that is printed is taken fr
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 
 import numpy as np
@@ -20,7 +20,6 @@ from coopslam.report.number_text import count, digits, length
 from coopslam.report.study_panels import (
     HUES,
     LOG_FROM,
-    Dimension,
     Quantity,
     StudyResults,
     dodged,
@@ -45,7 +44,6 @@ STUDIED = (
     Quantity("ATE / Cramér-Rao bound", "crlb_ratio", ideal=1.0),
     Quantity("NEES, mean of a run", "nees_mean", ideal=3.0),
 )
-PLACES_AT_MOST, GROUPS = 12, 8  # numbers of role exchanges that are kept apart; beyond, so many groups of them
 NIS_SHOWN_FROM = 0.02  # smaller means end there and have their value printed
 
 
@@ -288,7 +286,7 @@ def draw_nis(axes: Axes, nis: Mapping[str, Mapping], limits: tuple[float, float]
         axes.annotate(words, (max(mean, 1.0), height), **beside)
     axes.set_ylim(-0.6, len(kinds) - 0.4)
     axes.set_yticks(heights, [plain(kind.replace("_", " "), 26) for kind in kinds])
-    log_scale(axes, "x", narrow=True)
+    log_scale(axes, "x")
     canvas.tidy(axes, "", "")
     axes.tick_params(axis="y", labelsize=SMALL_PT, length=0)
     axes.set_title("NIS per degree of freedom (count)", fontsize=canvas.LABEL_PT, loc="left")
@@ -340,29 +338,10 @@ def draw_bars(axes: Axes, labels: Sequence[str], groups: Mapping[str, tuple], sa
         log_scale(axes, "x", narrow=True)
 
 
-def study_of(rows: Sequence[Mapping]) -> StudyResults:
-    """Rows as the results of a study with three dimensions: noise, role exchanges, estimator.
-
-    More than PLACES_AT_MOST numbers of role exchanges are put into groups that stand at their medians.
-    """
-    rows = [row for row in rows if row.get("role_exchanges") is not None]
-    noises = list(dict.fromkeys(row["noise"] for row in rows))
-    noises = sorted(noises) if all(isinstance(noise, int | float) for noise in noises) else noises
-    estimators = list(dict.fromkeys(row["estimator"] for row in rows))
-    exchanges = np.array([float(row["role_exchanges"]) for row in rows])
-    places, which = np.unique(exchanges, return_inverse=True)
-    if len(places) > PLACES_AT_MOST:
-        group = np.searchsorted(np.quantile(exchanges, np.arange(1, GROUPS) / GROUPS), exchanges, side="right")
-        held, which = np.unique(group, return_inverse=True)
-        places = np.array([np.median(exchanges[group == one]) for one in held])
-    dimensions = (
-        Dimension("noise", "noise", tuple(map(str, noises)), None),
-        Dimension("role_exchanges", "role exchanges", tuple(f"{p:g}" for p in places), tuple(places.tolist())),
-        Dimension("estimator", "estimator", tuple(map(str, estimators)), None),
-    )
-    index = [(noises.index(row["noise"]), which[r], estimators.index(row["estimator"])) for r, row in enumerate(rows)]
-    texts = [{k: "" if v is None else str(v) for k, v in row.items()} | {"success": "true"} for row in rows]
-    return StudyResults("", dimensions, np.array(index, int).reshape(-1, 3), texts)
+def quantities_of(study: StudyResults) -> list[Quantity]:
+    """What the study has values of; beside it only what has values too."""
+    known = {name for q in STUDIED for name in (q.column, q.beside) if np.isfinite(study.column(name)).any()}
+    return [q if q.beside in known else replace(q, beside="") for q in STUDIED if q.column in known]
 
 
 def draw_against_exchanges(axes: Axes, study: StudyResults, quantity: Quantity, noise: int) -> None:

@@ -1,8 +1,13 @@
-"""What the figures of a replayed log show: estimators on the same records, as plain numbers in SI units and radians."""
+"""What the figures of replayed logs show: estimators on the same records, as plain numbers in SI units and radians."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+
+from coopslam.report.study_panels import Dimension, StudyResults
+
+PLACES_AT_MOST, GROUPS = 12, 8  # numbers of role exchanges that are kept apart; beyond, so many groups of them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,3 +50,28 @@ class ComparisonView:
     estimators: list[EstimatorView]
     true_paths: dict[str, np.ndarray]  # (N, 2) m; empty without truth
     true_landmarks: dict[str, np.ndarray]
+
+
+def study_of(rows: Sequence[Mapping]) -> StudyResults:
+    """Rows as the results of a study with three dimensions: noise, role exchanges, estimator.
+
+    More than PLACES_AT_MOST numbers of role exchanges are put into groups that stand at their medians.
+    """
+    rows = [row for row in rows if row.get("role_exchanges") is not None]
+    noises = list(dict.fromkeys(row["noise"] for row in rows))
+    noises = sorted(noises) if all(isinstance(noise, int | float) for noise in noises) else noises
+    estimators = list(dict.fromkeys(row["estimator"] for row in rows))
+    exchanges = np.array([float(row["role_exchanges"]) for row in rows])
+    places, which = np.unique(exchanges, return_inverse=True)
+    if len(places) > PLACES_AT_MOST:
+        group = np.searchsorted(np.quantile(exchanges, np.arange(1, GROUPS) / GROUPS), exchanges, side="right")
+        held, which = np.unique(group, return_inverse=True)
+        places = np.array([np.median(exchanges[group == one]) for one in held])
+    dimensions = (
+        Dimension("noise", "noise", tuple(map(str, noises)), None),
+        Dimension("role_exchanges", "role exchanges", tuple(f"{p:g}" for p in places), tuple(places.tolist())),
+        Dimension("estimator", "estimator", tuple(map(str, estimators)), None),
+    )
+    index = [(noises.index(row["noise"]), which[r], estimators.index(row["estimator"])) for r, row in enumerate(rows)]
+    texts = [{k: "" if v is None else str(v) for k, v in row.items()} | {"success": "true"} for row in rows]
+    return StudyResults("", dimensions, np.array(index, int).reshape(-1, 3), texts)

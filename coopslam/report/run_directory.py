@@ -3,14 +3,12 @@
 import json
 from pathlib import Path
 
-import gtsam
 import networkx as nx
 import numpy as np
 
 from coopslam.errors import BadInput
 from coopslam.estimation.estimate import Estimate
 from coopslam.exploration.free_map import FreeMap
-from coopslam.io.g2o import BearingEdge, PoseEdge, write_g2o, write_keys
 from coopslam.io.geojson import feature, write_feature_collection
 from coopslam.io.tum import write_tum
 from coopslam.planning.dual_graph import signed_area_m2
@@ -121,31 +119,6 @@ def write_map(path: Path, free_map: FreeMap, estimate: Estimate) -> None:
 def write_dual_graph(path: Path, graph: nx.Graph) -> None:
     """dual_graph.json: networkx node-link data."""
     write_json(path, nx.node_link_data(graph, edges="edges"))
-
-
-def write_pose_graph(directory: Path, graph: gtsam.NonlinearFactorGraph, estimate: Estimate) -> None:
-    """pose_graph.g2o and pose_graph.keys.json. Ids count from 0: placed robots' poses by robot, then map vertices."""
-    names = {}
-    for robot in filter(estimate.timeline.is_placed, estimate.robots):
-        for index, key in enumerate(estimate.timeline.tracks[robot].keys):
-            stamp = estimate.timeline.stamps[key]
-            names[key] = {"kind": "pose", "robot": robot, "index": index, "stamp_s": stamp}
-    for vertex in estimate.vertices:
-        names[estimate.vertex_key(vertex)] = {"kind": "vertex", "vertex": vertex}
-    ids = {key: number for number, key in enumerate(names)}
-    edges = []
-    for k in range(graph.size()):
-        factor = graph.at(k)
-        if isinstance(factor, gtsam.BetweenFactorPose2):
-            start, end = (ids[key] for key in factor.keys())  # noqa: SIM118 (a factor is no dict)
-            edges.append(PoseEdge(start, end, factor.measured(), factor.noiseModel().information()))
-        elif isinstance(factor, gtsam.BearingFactorPose2):
-            start, end = (ids[key] for key in factor.keys())  # noqa: SIM118 (a factor is no dict)
-            information = float(factor.noiseModel().information()[0, 0])
-            edges.append(BearingEdge(start, end, factor.measured().theta(), information))
-    poses = [(number, estimate.value(key)) for key, number in ids.items()]
-    write_g2o(directory / "pose_graph.g2o", poses, [], edges, fixed=[0])
-    write_keys(directory / "pose_graph.keys.json", {ids[key]: name for key, name in names.items()})
 
 
 def write_json(path: Path, data) -> None:

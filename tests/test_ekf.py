@@ -1,0 +1,439 @@
+"""The joint filter against closed forms, GTSAM's own filter, batch marginals, and its own promises over many seeds."""
+
+import gtsam
+import numpy as np
+import pytest
+from leapfrog import FIX_COV, ROBOTS, difference, leapfrog
+from scipy.linalg import block_diag
+
+from coopslam.errors import BadInput, UnderDetermined
+from coopslam.estimation.batch import BatchEstimate, solve_batch
+from coopslam.estimation.ekf import REFUSED, SINGULAR, TOO_LATE, Ekf, EkfSettings
+from coopslam.estimation.estimate import Trajectory
+from coopslam.evaluation.consistency import chi_square_band, pose_nees, position_nees
+from coopslam.records import (
+    BearingFix,
+    BearingRangeFix,
+    LandmarkPrior,
+    LoopClosure,
+    Odometry,
+    PosePrior,
+    RangeFix,
+    RelativePoseFix,
+)
+from coopslam.se2 import Pose2, position, xytheta
+
+R0, R1 = ROBOTS
+STEP_COV = np.diag([0.02, 0.01, 0.01]) ** 2
+SEEN_COV = np.diag([0.01, 0.03]) ** 2
+POST = np.array([3.0, 2.0])
+
+
+def run(world, estimator=None):
+    estimator = estimator or Ekf(ROBOTS)
+    for group in world.groups:
+        estimate = estimator.update(group)
+    return estimator, estimate
+
+
+def batch_of(estimator):
+    return BatchEstimate(estimator.timeline, estimator.graph, solve_batch(estimator.graph, estimator.values()))
+
+
+def seen(stamp_s, observer, target, T_world_observer, point, noise=(0.0, 0.0)):
+    there = T_world_observer.transformTo(point)
+    bearing = np.arctan2(there[1], there[0]) + noise[0]
+    return BearingRangeFix(stamp_s, observer, target, bearing, np.hypot(*there) + noise[1], SEEN_COV)
+
+
+# ---- against exact answers ----
+
+
+def test_on_a_line_it_is_the_scalar_kalman_filter():
+    """One robot that drives ahead and is surveyed at each stop: P + Q, then P R / (P + R), with numbers by hand."""
+    estimator = Ekf((R0,))
+    Q, R = 0.04, 0.09  # m^2
+    prior_cov = np.diag([R, 1.0, 1.0])
+    estimate = estimator.update([Odometry(0.0, 1.0, R0, Pose2(1.0, 0, 0), np.diag([Q, 1e-12, 1e-12]))])
+    x, P = 0.0, 1e-12
+    for stop, surveyed in enumerate((1.3, 2.1, 2.8), start=1):
+        if stop > 1:
+            step = Odometry(stop - 1.0, stop, R0, Pose2(1.0, 0, 0), np.diag([Q, 1e-12, 1e-12]))
+            estimate = estimator.update([step])
+        estimate = estimator.update([PosePrior(stop, R0, Pose2(surveyed, 0, 0), prior_cov)])
+        x, P = x + 1.0, P + Q
+        x, P = x + P / (P + R) * (surveyed - x), P * R / (P + R)
+        assert estimate.pose(R0).x() == pytest.approx(x, abs=1e-9)
+        assert estimate.covariance(estimate.pose_key(R0))[0, 0] == pytest.approx(P, rel=1e-9)
+
+
+def test_a_linear_problem_is_solved_as_a_batch_solves_it():
+    """Headings that are known to 1e-6: what is left is linear, and filtering the last pose is smoothing it."""
+    rng, estimator = np.random.default_rng(0), Ekf(ROBOTS)
+    step_cov, fix_cov = np.diag([0.02, 0.03, 1e-6]) ** 2, np.diag([0.05, 0.04, 1e-6]) ** 2
+
+    def noisy(pose, cov):
+        return pose * Pose2(*rng.normal(size=3) * np.sqrt(np.diag(cov)) * (1, 1, 0))
+
+    estimator.update([RelativePoseFix(0.0, R0, R1, noisy(Pose2(1, 2, 0), fix_cov), fix_cov)])
+    for t in range(6):
+        group = [Odometry(t, t + 1.0, robot, noisy(Pose2(0.5, 0.1, 0), step_cov), step_cov) for robot in ROBOTS]
+        estimate = estimator.update([*group, RelativePoseFix(t + 1.0, R0, R1, noisy(Pose2(1, 2, 0), fix_cov), fix_cov)])
+    batch = batch_of(estimator)
+    keys = [estimate.pose_key(R0), estimate.pose_key(R1)]
+    for robot in ROBOTS:  # what headings of 1e-6 bend over 3 m
+        assert difference(estimate.pose(robot), batch.pose(robot)) < 1e-6
+    np.testing.assert_allclose(estimate.joint_covariance(keys), batch.joint_covariance(keys), rtol=1e-4, atol=1e-10)
+
+
+def test_one_robot_against_gtsams_invariant_filter():
+    """Same prediction to first order; poses surveyed exactly where they are predicted leave no second order."""
+    rng, prior_cov = np.random.default_rng(1), np.diag([0.02, 0.03, 0.02]) ** 2
+    estimator, oracle, key, stamp = Ekf((R0,)), gtsam.InvariantEKFPose2(Pose2(), np.eye(3) * 1e-12), 0, 0.0
+    for _ in range(5):
+        step = Pose2(0.5, 0.0, rng.uniform(-1, 1))
+        oracle.predict(step, STEP_COV)
+        survey = oracle.state()
+        estimate = estimator.update(
+            [Odometry(stamp, stamp + 1, R0, step, STEP_COV), PosePrior(stamp + 1, R0, survey, prior_cov)]
+        )
+        stamp += 1
+        oracle.updateWithVector(np.zeros(3), np.eye(3), np.zeros(3), prior_cov)
+        key = estimate.pose_key(R0)
+        assert difference(estimate.value(key), oracle.state()) < 1e-12
+        np.testing.assert_allclose(estimate.covariance(key), oracle.covariance(), rtol=1e-9, atol=1e-14)
+
+
+def test_it_agrees_with_batch_marginals_where_the_run_is_nearly_linear():
+    world = leapfrog(np.random.default_rng(3), legs=24, scale=0.03)
+    estimator, estimate = run(world)
+    batch = batch_of(estimator)
+    keys = [estimate.vertex_key(4), estimate.pose_key(R0), estimate.vertex_key(1), estimate.pose_key(R1)]
+    for key in keys:  # sigmas are 3e-4 and more; the second order of 1e-3 rad over 4 m is 4e-6
+        assert difference(estimate.value(key), batch.value(key)) < 2e-5
+    ours, theirs = estimate.joint_covariance(keys), batch.joint_covariance(keys)
+    sigmas = np.sqrt(np.diag(theirs))
+    np.testing.assert_allclose(ours / np.outer(sigmas, sigmas), theirs / np.outer(sigmas, sigmas), atol=5e-3)
+    for i, key in enumerate(keys):
+        np.testing.assert_allclose(estimate.covariance(key), ours[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], rtol=1e-12)
+        assert estimate.covariance(key)[0, 0] == pytest.approx(batch.covariance(key)[0, 0], rel=0.01)
+    assert estimate.vertices == list(range(6)) and not estimator.timeline.dropped
+
+
+def test_a_new_landmark_has_the_marginal_and_the_correlations_of_a_batch():
+    rng, estimator, pose, stamp = np.random.default_rng(4), Ekf((R0,), ("post",)), Pose2(), 0.0
+    for leg in range(5):
+        step = Pose2(0.5, 0.0, 0.2)
+        pose, stamp = pose * step, stamp + 1.0
+        group = [Odometry(stamp - 1, stamp, R0, step, STEP_COV)]
+        if leg >= 3:  # the timeline places it with the second glimpse; the first one is then of a pose of the past
+            group.append(seen(stamp, R0, "post", pose, POST, rng.normal(size=2) * 1e-4))
+        estimate = estimator.update(group)
+    first = next(i for i in range(estimator.graph.size()) if _is_sighting(estimator.graph.at(i)))
+    assert dict(estimator.timeline.dropped) == {f"BearingRangeFix: {TOO_LATE}": 1}
+    graph = gtsam.NonlinearFactorGraph()
+    for i in range(estimator.graph.size()):
+        if i != first:
+            graph.push_back(estimator.graph.at(i))
+    batch = BatchEstimate(estimator.timeline, graph, solve_batch(graph, estimator.values()))
+    keys = [estimate.pose_key(R0), estimate.landmark_key("post")]
+    assert estimate.landmark("post") == pytest.approx(batch.landmark("post"), abs=1e-9)
+    np.testing.assert_allclose(estimate.joint_covariance(keys), batch.joint_covariance(keys), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(estimate.landmark_belief("post").cov, batch.covariance(keys[1]), rtol=1e-6)
+
+
+def _is_sighting(factor):
+    return isinstance(factor, gtsam.BearingRangeFactor2D)
+
+
+# ---- honesty ----
+
+
+def test_its_covariances_are_honest_over_many_runs_with_small_noise():
+    """One pose and one vertex of each of 50 runs: independent samples, 99.9 % bands, fixed seeds."""
+    poses, corners = [], []
+    for seed in range(50):
+        world = leapfrog(np.random.default_rng(5000 + seed), legs=10, scale=0.2)
+        _, estimate = run(world)
+        belief = estimate.belief(R1)
+        poses += list(pose_nees([belief.T_world_body], belief.cov_body[None], [world.truth[R1].poses[-1]]))
+        corner = estimate.vertex_belief(3)
+        errors = position(corner.T_world_body)[None], corner.position_covariance[None]
+        corners += list(position_nees(*errors, position(world.corners[3])[None]))
+    for scores, dof in ((poses, 3), (corners, 2)):
+        low, high = chi_square_band(dof, len(scores), confidence=0.999)
+        assert low < np.mean(scores) < high
+
+
+def test_innovations_are_chi_square_distributed_by_kind():
+    by_kind = {}
+    for seed in range(20):
+        estimator, estimate = run(leapfrog(np.random.default_rng(6000 + seed), legs=12, scale=0.1))
+        assert estimate.innovations is estimator.innovations and not estimator.refused_innovations
+        for kind, nis, dof in estimator.innovations:
+            by_kind.setdefault((kind, dof), []).append(nis)
+    assert by_kind.keys() == {("relative pose", 3), ("corner", 3)}  # the first fix and first sightings place something
+    assert len(by_kind["relative pose", 3]) == 20 * 36 and len(by_kind["corner", 3]) == 20 * 6
+    for (_, dof), values in by_kind.items():
+        low, high = chi_square_band(dof, len(values), confidence=0.999)
+        assert low < np.mean(values) < high
+
+
+def test_the_covariance_stays_symmetric_and_positive_over_sigmas_a_million_times_apart():
+    estimator, turn = Ekf(ROBOTS, ("post",)), np.diag([0.0, 0.0, 0.01]) ** 2
+    estimator.update([RelativePoseFix(0.0, R0, R1, Pose2(1, 2, 0.5), FIX_COV)])
+    for t in range(300):
+        wild = np.eye(3) * 1e2 if t % 50 == 0 else turn
+        fine = np.eye(3) * 1e-10 if t % 3 == 0 else FIX_COV
+        estimator.update(
+            [Odometry(t, t + 1.0, R1, Pose2(), wild), RelativePoseFix(t + 1.0, R0, R1, Pose2(1, 2, 0.5), fine)]
+        )
+        cov = estimator._state.cov
+        np.testing.assert_array_equal(cov, cov.T)
+        assert np.linalg.eigvalsh(cov)[0] > 0
+
+
+# ---- the gate ----
+
+
+def test_a_wild_fix_is_refused_and_counted():
+    estimator, pose = Ekf((R0,), ("post",)), Pose2()
+    estimator.update([seen(0.0, R0, "post", pose, POST)])
+    before = estimator.update([seen(0.1, R0, "post", pose, POST)]).landmark("post")
+    factors = estimator.graph.size()
+    estimate = estimator.update([seen(0.2, R0, "post", pose, POST + [1.0, 0.0])])
+    assert dict(estimator.timeline.dropped) == {f"BearingRangeFix: {REFUSED}": 1}
+    assert estimator.timeline.used["BearingRangeFix"] == 2
+    np.testing.assert_array_equal(estimate.landmark("post"), before)
+    (kind, nis, dof), *others = estimator.refused_innovations
+    assert not others and estimator.innovations[-1] == (kind, nis, dof)
+    assert kind == "bearing-range of a landmark" and dof == 2 and nis > 18.42  # chi-square, 2 dof, 1e-4
+    assert len(estimator.timeline.refused) == 1 and estimator.graph.size() == factors  # a batch may decide anew
+    open_door = Ekf((R0,), ("post",), EkfSettings(gate_probability=0.0))
+    for t, offset in ((0.0, 0.0), (0.1, 0.0), (0.2, 1.0)):
+        moved = open_door.update([seen(t, R0, "post", pose, POST + [offset, 0.0])])
+    assert moved.landmark("post")[0] - POST[0] == pytest.approx(1 / 3, abs=0.05) and not open_door.timeline.dropped
+
+
+def test_a_wild_relative_pose_is_refused_by_the_gate_of_all_estimators():
+    world = leapfrog(np.random.default_rng(7), legs=6, scale=0.1)
+    estimator, estimate = run(world)
+    before = estimate.pose(R1)
+    stamp = world.records[-1].stamp_s
+    estimate = estimator.update([RelativePoseFix(stamp, R0, R1, Pose2(-9.0, 5.0, 2.0), FIX_COV)])
+    assert list(estimator.timeline.dropped) == ["RelativePoseFix: far from the prediction"]
+    assert difference(estimate.pose(R1), before) == 0.0
+
+
+def test_settings_out_of_range_are_refused():
+    with pytest.raises(BadInput, match="gate_probability"):
+        EkfSettings(gate_probability=1.5)
+
+
+# ---- what leaves the state, and what comes late ----
+
+
+def test_the_state_holds_latest_poses_vertices_and_landmarks_only():
+    world = leapfrog(np.random.default_rng(8), legs=30, scale=0.1)
+    estimator, estimate = run(world)
+    assert estimator._state.size == 3 * (2 + 6)
+    assert estimator.values().size() == len(estimator.timeline.stamps) + 6
+    past, now = estimator.timeline.tracks[R0].keys[3], estimate.pose_key(R0)
+    with pytest.raises(UnderDetermined, match="robot0 pose 3 has left the filter's state"):
+        estimate.joint_covariance([past, now])
+    assert np.linalg.eigvalsh(estimate.covariance(past))[0] > 0
+
+
+def test_the_trajectory_is_what_was_known_when_a_pose_left():
+    world = leapfrog(np.random.default_rng(9), legs=12, scale=0.5)
+    estimator, before = Ekf(ROBOTS), {}
+    for group in world.groups:
+        estimate = estimator.update(group)
+        for robot in ROBOTS:
+            key = estimate.pose_key(robot)
+            before[key] = estimate.value(key), estimate.covariance(key)
+    trajectory, causal = estimate.trajectory(R1), estimate.causal_trajectory(R1)
+    assert isinstance(trajectory, Trajectory) and len(causal.poses) == len(trajectory.poses)
+    keys = estimator.timeline.tracks[R1].keys
+    for key, pose, cov in zip(keys, trajectory.poses, trajectory.covariances, strict=True):
+        if key in before:  # the last of its group, then left at the next leg
+            assert difference(pose, before[key][0]) < 1e-12
+            np.testing.assert_allclose(cov, before[key][1], rtol=1e-9)
+
+
+def test_a_fix_of_a_pose_that_has_left_is_counted():
+    estimator = Ekf((R0, R1), ("post",))
+    estimator.update([RelativePoseFix(0.0, R0, R1, Pose2(1, 2, 0.5), FIX_COV)])
+    step = Odometry(0.0, 1.0, R1, Pose2(0.5, 0, 0), STEP_COV)
+    estimator.update([step, RelativePoseFix(1.0, R0, R1, Pose2(1.4, 2.2, 0.5), FIX_COV)])
+    late = RangeFix(0.0, R0, R1, float(np.hypot(1, 2)), 0.05)
+    closure = LoopClosure(0.0, 1.0, R1, R1, Pose2(0.5, 0, 0), STEP_COV)
+    estimator.update([late, closure])
+    assert dict(estimator.timeline.dropped) == {f"RangeFix: {TOO_LATE}": 1, f"LoopClosure: {TOO_LATE}": 1}
+    assert estimator.timeline.used["RangeFix"] == 0
+
+
+def test_a_singular_sighting_is_counted():
+    estimator = Ekf((R0, R1))
+    estimator.update([RelativePoseFix(0.0, R0, R1, Pose2(), FIX_COV)])
+    estimator.update([BearingFix(0.0, R0, R1, 0.3, 0.1)])
+    assert dict(estimator.timeline.dropped) == {f"BearingFix: {SINGULAR}": 1}
+
+
+def test_absence_has_words():
+    estimate = Ekf(ROBOTS, ("post",)).update([Odometry(0.0, 1.0, R0, Pose2(1, 0, 0), FIX_COV)])
+    for question in (lambda: estimate.pose(R1), lambda: estimate.vertex(3), lambda: estimate.landmark("post")):
+        with pytest.raises(UnderDetermined):
+            question()
+
+
+# ---- robots that get their place late ----
+
+
+def late_world(rng, joins_back=False):
+    """Three robots; 1 and 2 know each other long before 0 sees 1, and all have driven meanwhile."""
+    robots = (R0, R1, "robot2")
+    where = {R0: Pose2(), R1: Pose2(2.0, 1.0, 0.3), "robot2": Pose2(3.0, -1.0, 2.0)}
+
+    def drive(t):
+        group = []
+        for robot, turn in zip(robots, (0.1, -0.2, 0.3), strict=True):
+            step = Pose2(0.4, 0.0, turn)
+            where[robot] = where[robot] * step
+            noise = rng.normal(size=3) * np.sqrt(np.diag(STEP_COV)) * 0.01
+            group.append(Odometry(t, t + 1.0, robot, step * Pose2(*noise), STEP_COV * 1e-4))
+        return group
+
+    def fix(t, observer, target):
+        noise = rng.normal(size=3) * np.sqrt(np.diag(FIX_COV)) * 0.01
+        relative = xytheta(where[observer].between(where[target])) + noise
+        return RelativePoseFix(t, observer, target, Pose2(*relative), FIX_COV * 1e-4)
+
+    groups = [[fix(0.0, R1, "robot2")]]
+    groups += [drive(0.0) + [fix(1.0, R1, "robot2")]]
+    groups += [drive(1.0) + [fix(2.0, "robot2", R1)]]
+    groups += [drive(2.0) + [fix(3.0, R1, R0) if joins_back else fix(3.0, R0, R1)]]
+    return robots, groups, where
+
+
+@pytest.mark.parametrize("joins_back", [False, True])
+@pytest.mark.parametrize("at_once", [False, True])
+def test_robots_that_are_placed_late_come_with_the_covariance_of_their_tree(joins_back, at_once):
+    """Against a batch of the edges alone: odometry, the first fix of 1 and 2, and the fix that placed them."""
+    robots, groups, where = late_world(np.random.default_rng(10), joins_back)
+    estimator = Ekf(robots)
+    for group in [sum(groups, [])] if at_once else groups:
+        estimate = estimator.update(group)
+    fixes = [i for i in range(estimator.graph.size()) if _is_fix(estimator.graph.at(i))]
+    assert len(fixes) == 4 and estimator.timeline.dropped[f"RelativePoseFix: {TOO_LATE}"] == 2
+    graph = gtsam.NonlinearFactorGraph()
+    spare = sorted(fixes, key=lambda i: max(gtsam.symbolIndex(k) & 0xFFFF for k in estimator.graph.at(i).keys()))[1:3]
+    for i in range(estimator.graph.size()):
+        if i not in spare:
+            graph.push_back(estimator.graph.at(i))
+    batch = BatchEstimate(estimator.timeline, graph, solve_batch(graph, estimator.values()))
+    keys = [estimate.pose_key(robot) for robot in robots]
+    for robot, key in zip(robots, keys, strict=True):
+        assert difference(estimate.pose(robot), where[robot]) < 0.01  # sigmas of 1e-4 m and 1e-4 rad, levers of 3 m
+        assert difference(estimate.value(key), batch.value(key)) < 1e-8
+    np.testing.assert_allclose(estimate.joint_covariance(keys), batch.joint_covariance(keys), rtol=1e-5, atol=1e-13)
+    for robot in robots[1:]:
+        track = estimator.timeline.tracks[robot].keys
+        assert len(track) > 2
+        for past in track[:-1]:
+            assert difference(estimate.value(past), batch.value(past)) < 1e-8
+            np.testing.assert_allclose(estimate.covariance(past), batch.covariance(past), rtol=1e-5, atol=1e-13)
+        assert len(estimate.causal_trajectory(robot).poses) == len(track)
+
+
+def _is_fix(factor):
+    keys = factor.keys()
+    return isinstance(factor, gtsam.BetweenFactorPose2) and keys[0] >> 32 != keys[1] >> 32
+
+
+def test_a_prior_places_a_robot_in_the_frame_itself():
+    estimator = Ekf(ROBOTS)
+    estimator.update([Odometry(0.0, 1.0, R0, Pose2(5, 0, 1), STEP_COV), RangeFix(1.0, R0, R1, 3.0, 0.1)])
+    cov = np.diag([0.1, 0.2, 0.05]) ** 2
+    estimate = estimator.update([PosePrior(1.0, R1, Pose2(2.0, 3.0, 0.7), cov)])
+    assert difference(estimate.pose(R1), Pose2(2.0, 3.0, 0.7)) < 0.2  # the range of 3.0 m has moved both
+    # the prior alone gives cov; the range that waited for the robot takes something away
+    assert np.linalg.eigvalsh(cov - estimate.covariance(estimate.pose_key(R1)))[0] > -1e-12
+    assert estimator.innovations[0].kind == "range of a robot"
+
+
+# ---- every kind of factor together ----
+
+
+def test_all_kinds_of_sightings_and_priors_agree_with_a_batch():
+    rng = np.random.default_rng(11)
+    estimator, poses = Ekf(ROBOTS, ("post",)), {R0: Pose2(), R1: Pose2(2.0, 0.5, 1.0)}
+    scale = 1e-2  # of sigmas of centimetres: nearly linear
+    estimator.update(
+        [
+            LandmarkPrior(0.0, "post", POST + rng.normal(size=2) * 0.05 * scale, np.eye(2) * (0.05 * scale) ** 2),
+            RelativePoseFix(0.0, R0, R1, poses[R1], FIX_COV * scale**2),
+        ]
+    )
+    for t in range(4):
+        group = []
+        for robot, turn in ((R0, 0.2), (R1, -0.3)):
+            step = Pose2(0.3, 0.0, turn)
+            poses[robot] = poses[robot] * step
+            noise = rng.normal(size=3) * np.sqrt(np.diag(STEP_COV)) * scale
+            group.append(Odometry(t, t + 1.0, robot, step * Pose2(*noise), STEP_COV * scale**2))
+        there, ours = poses[R1].transformTo(POST), poses[R0].transformTo(position(poses[R1]))
+        now, e = t + 1.0, rng.normal(size=4) * scale
+        group += [
+            BearingFix(now, R1, "post", np.arctan2(there[1], there[0]) + 0.02 * e[0], 0.02 * scale),
+            RangeFix(now, R1, "post", np.hypot(*there) + 0.05 * e[1], 0.05 * scale),
+            BearingFix(now, R0, R1, np.arctan2(ours[1], ours[0]) + 0.02 * e[2], 0.02 * scale),
+            RangeFix(now, R0, R1, np.hypot(*ours) + 0.05 * e[3], 0.05 * scale),
+            BearingRangeFix(now, R0, R1, np.arctan2(ours[1], ours[0]), np.hypot(*ours), SEEN_COV * scale**2),
+            seen(now, R0, "post", poses[R0], POST),
+            PosePrior(now, R1, poses[R1], FIX_COV * scale**2),
+        ]
+        estimate = estimator.update(group)
+    batch = batch_of(estimator)
+    keys = [estimate.pose_key(R0), estimate.landmark_key("post"), estimate.pose_key(R1)]
+    ours, theirs = estimate.joint_covariance(keys), batch.joint_covariance(keys)
+    sigmas = np.sqrt(np.diag(theirs))
+    np.testing.assert_allclose(ours / np.outer(sigmas, sigmas), theirs / np.outer(sigmas, sigmas), atol=0.01)
+    for key, sigma in zip(keys, (sigmas[:3], sigmas[3:5], sigmas[5:]), strict=True):
+        apart = np.asarray(estimate.any_value(key) - batch.any_value(key)) if len(sigma) == 2 else 0.0
+        if len(sigma) == 3:
+            apart = xytheta(batch.value(key).between(estimate.value(key)))
+        assert np.abs(apart / sigma).max() < 0.05  # linearized at another place, by a tenth of a millimetre
+    assert {kind for kind, _, _ in estimator.innovations} == {
+        *("bearing of a landmark", "range of a landmark", "bearing of a robot", "range of a robot"),
+        *("bearing-range of a robot", "bearing-range of a landmark", "pose prior"),
+    }
+    assert not estimator.timeline.dropped
+
+
+@pytest.mark.parametrize("kind", [BearingFix, RangeFix])
+def test_a_landmark_that_is_only_heard_or_only_seen_gets_a_place_with_a_covariance_that_holds(kind):
+    estimator, pose = Ekf((R0,), ("post",)), Pose2()
+    errors = []
+    for t in range(24):
+        pose = pose * Pose2(0.4, 0.0, 0.25)
+        there = pose.transformTo(POST)
+        fix = (
+            BearingFix(t + 1.0, R0, "post", float(np.arctan2(there[1], there[0])), 0.01)
+            if kind is BearingFix
+            else RangeFix(t + 1.0, R0, "post", float(np.hypot(*there)), 0.02)
+        )
+        estimate = estimator.update([Odometry(t, t + 1.0, R0, Pose2(0.4, 0.0, 0.25), STEP_COV * 0.01), fix])
+        if estimate.landmarks:
+            belief = estimate.landmark_belief("post")
+            errors.append((belief.xy - POST) @ np.linalg.solve(belief.cov, belief.xy - POST))
+    assert len(errors) > 10 and max(errors) < 9.2  # exact sightings; chi-square with 2 dof, 1 %
+    assert np.hypot(*(estimate.landmark("post") - POST)) < 0.05
+
+
+def test_block_of_a_joint_covariance_follows_the_question():
+    _, estimate = run(leapfrog(np.random.default_rng(12), legs=8, scale=0.1))
+    a, b = estimate.pose_key(R0), estimate.vertex_key(2)
+    joint, other = estimate.joint_covariance([a, b]), estimate.joint_covariance([b, a])
+    np.testing.assert_array_equal(joint[:3, 3:], other[3:, :3])
+    assert np.abs(joint - block_diag(joint[:3, :3], joint[3:, 3:])).max() > 0
