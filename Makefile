@@ -8,6 +8,7 @@ PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; 
 
 VENV := .venv
 READY := $(VENV)/.ready
+TESTABLE := $(VENV)/.testable
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check
 
 .PHONY: explore test lint cluster clean
@@ -16,7 +17,7 @@ PIP := $(VENV)/bin/python -m pip --disable-pip-version-check
 explore: $(READY)
 	$(VENV)/bin/python scripts/explore_and_optimize.py $(ARGS)
 
-test: $(READY)
+test: $(TESTABLE)
 	$(VENV)/bin/python -m pytest $(ARGS)
 
 lint: $(READY)
@@ -35,6 +36,12 @@ $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -m venv --clear $(VENV)
 	$(PIP) install --quiet --no-deps -r requirements.lock
 	$(PIP) install --quiet --no-deps --no-build-isolation -e .
+	$(PIP) check
+	touch $@
+
+# What only tests need: evo, another evaluation of trajectories, whose figures ours must equal.
+$(TESTABLE): $(READY) requirements-test.lock
+	$(PIP) install --quiet --no-deps -r requirements-test.lock
 	$(PIP) check
 	touch $@
 

@@ -1,11 +1,15 @@
 """What all scripts share: one line for what the user can mend, and the exit code that goes with it."""
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from coopslam.errors import CoopSlamError
+
+# Matrices here are small: threads that share the work on one cost more than they bring. Before numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 class OneLineParser(argparse.ArgumentParser):

@@ -76,7 +76,7 @@ def progress(recording: Recording, names: Sequence[str]) -> Iterator[Callable[[f
 def print_scores(summary: dict) -> None:
     """A table of the estimators."""
     table = Table(title=f"{summary['log']}: {len(summary['robots'])} robots, {summary['duration_s']:.1f} s")
-    table.add_column("estimator")
+    table.add_column("estimator", no_wrap=True)
     for column in ("ATE m", "heading deg", "causal ATE m", "NEES (3)", "landmarks m", "time s", "p99 ms"):
         table.add_column(column, justify="right")
     for name, scores in summary["estimators"].items():
@@ -94,7 +94,7 @@ def print_scores(summary: dict) -> None:
             _shown(scores["wall_seconds"], ".1f"),
             _shown(None if latency is None else 1e3 * latency, ".1f"),
         )
-    Console().print(table)
+    _print(table)
 
 
 def print_spread(estimators: dict, logs: int) -> None:
@@ -109,7 +109,13 @@ def print_spread(estimators: dict, logs: int) -> None:
         table.add_row(
             name, *("" if c is None else f"{c['median']:.4f} ({c['q25']:.4f}, {c['q75']:.4f})" for c in cells)
         )
-    Console().print(table)
+    _print(table)
+
+
+def _print(table: Table) -> None:
+    """As wide as it needs where no terminal sets a limit."""
+    console = Console()
+    (console if console.is_terminal else Console(width=120)).print(table)
 
 
 def _shown(number: float | None, form: str) -> str:

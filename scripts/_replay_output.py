@@ -97,8 +97,8 @@ def _estimator(recording: Recording, outcome: Outcome, score: ReplayScore | None
     return EstimatorView(
         outcome.name,
         score.scores,
-        _robots(score.final, score.errors, score.nees, to_truth, recording.start_s),
-        _robots(score.causal, score.causal_errors, {}, to_truth, recording.start_s),
+        _robots(score.final, score.errors, score.anchored, score.nees, to_truth, recording.start_s),
+        _robots(score.causal, score.causal_errors, None, {}, to_truth, recording.start_s),
         {name: to_truth.transformFrom(belief.xy) for name, belief in beliefs.items()},
         {name: turn @ belief.cov @ turn.T for name, belief in beliefs.items()},
         outcome.replay.latencies_s if causal_updates else np.zeros(0),
@@ -109,6 +109,7 @@ def _estimator(recording: Recording, outcome: Outcome, score: ReplayScore | None
 def _robots(
     trajectories: dict[str, Trajectory],
     errors: TeamErrors | None,
+    anchored: TeamErrors | None,
     nees: dict[str, np.ndarray],
     to_truth: Pose2,
     start_s: float,
@@ -116,6 +117,7 @@ def _robots(
     result, nobody = {}, PoseErrors(*(np.zeros(0),) * 3)
     for robot, trajectory in trajectories.items():
         own = errors.robots.get(robot, nobody) if errors else nobody
+        at_start = anchored.robots.get(robot, nobody) if anchored else nobody
         matched = np.isin(trajectory.stamps_s, own.stamps_s)
         sigmas, heading_sigmas = _sigmas(trajectory)
         known = len(sigmas) > 0
@@ -131,6 +133,8 @@ def _robots(
             heading_sigmas[matched] if known else heading_sigmas,
             # the anchored pose has none
             np.concatenate([np.full(len(own.stamps_s) - len(judged), np.nan), judged]) if len(judged) else judged,
+            at_start.position_errors_m,
+            at_start.heading_errors_rad,
         )
     return result
 

@@ -8,9 +8,9 @@ from coopslam.records import BearingFix, BearingRangeFix, Odometry, RangeFix, Re
 from coopslam.se2 import Pose2
 
 STEP_S = 0.5
-STEP_SIGMAS = np.array([0.01, 0.003, 0.01])  # m, m, rad: of each step of odometry
+STEP_SIGMAS = np.array([0.01, 0.003, 0.005])  # m, m, rad: of each step of odometry
 RANGE_SIGMA_M, BEARING_SIGMA_RAD = 0.08, 0.03
-SEES_M = 6.0
+SEES_M = {"bearing and range": 6.0, "bearing": 6.0, "range": 20.0}  # a camera, or a radio
 
 
 @dataclass
@@ -65,7 +65,7 @@ def landmark_world(
         for name in [name for name in names if name not in blind]:
             others = {other: poses[other].translation() for other in names if other not in (name, *blind)}
             seen = {**(world.landmarks if targets != "robots" else {}), **(others if targets != "landmarks" else {})}
-            near = [target for target, xy in seen.items() if 0.3 < poses[name].range(np.asarray(xy)) < SEES_M]
+            near = [target for target, xy in seen.items() if 0.3 < poses[name].range(np.asarray(xy)) < SEES_M[kind]]
             for target in rng.permutation(near)[:3].tolist():
                 called = target
                 if rng.random() < false_share and len(seen) > 1:

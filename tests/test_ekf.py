@@ -40,6 +40,14 @@ def batch_of(estimator):
     return BatchEstimate(estimator.timeline, estimator.graph, solve_batch(estimator.graph, estimator.values()))
 
 
+def without(graph, places):
+    """The graph without the factors at these places."""
+    rest = gtsam.NonlinearFactorGraph()
+    for i in set(range(graph.size())) - set(places):
+        rest.push_back(graph.at(i))
+    return rest
+
+
 def seen(stamp_s, observer, target, T_world_observer, point, noise=(0.0, 0.0)):
     there = T_world_observer.transformTo(point)
     bearing = np.arctan2(there[1], there[0]) + noise[0]
@@ -131,10 +139,7 @@ def test_a_new_landmark_has_the_marginal_and_the_correlations_of_a_batch():
         estimate = estimator.update(group)
     first = next(i for i in range(estimator.graph.size()) if _is_sighting(estimator.graph.at(i)))
     assert dict(estimator.timeline.dropped) == {f"BearingRangeFix: {TOO_LATE}": 1}
-    graph = gtsam.NonlinearFactorGraph()
-    for i in range(estimator.graph.size()):
-        if i != first:
-            graph.push_back(estimator.graph.at(i))
+    graph = without(estimator.graph, [first])
     batch = BatchEstimate(estimator.timeline, graph, solve_batch(graph, estimator.values()))
     keys = [estimate.pose_key(R0), estimate.landmark_key("post")]
     assert estimate.landmark("post") == pytest.approx(batch.landmark("post"), abs=1e-9)
@@ -163,6 +168,36 @@ def test_its_covariances_are_honest_over_many_runs_with_small_noise():
     for scores, dof in ((poses, 3), (corners, 2)):
         low, high = chi_square_band(dof, len(scores), confidence=0.999)
         assert low < np.mean(scores) < high
+
+
+def test_relative_measurements_tell_nothing_about_a_turn_of_everything():
+    """Information on the one direction that no sighting tells, N' P^-1 N, does not grow however the mean moves."""
+    rng, posts = np.random.default_rng(13), {"post": POST, "far": np.array([8.0, -6.0]), "third": np.array([-5.0, 4.0])}
+    estimator, poses = Ekf(ROBOTS, posts), {R0: Pose2(), R1: Pose2(2.0, 0.5, 1.0)}
+    estimator.update([RelativePoseFix(0.0, R0, R1, poses[R1], FIX_COV)])
+    turned = np.diag([0.3, 0.3, 0.6]) ** 2  # a heading that may be off by 35 degrees: far from linear
+    known = []
+    for t in range(30):
+        group = []
+        for robot in ROBOTS:
+            poses[robot] = poses[robot] * Pose2(0.3, 0.0, 0.2)
+            cov = turned if t % 5 == 0 else STEP_COV
+            noise = rng.normal(size=3) * np.sqrt(np.diag(cov))
+            group.append(Odometry(t, t + 1.0, robot, Pose2(0.3, 0.0, 0.2) * Pose2(*noise), cov))
+        for robot in ROBOTS:
+            for post, point in posts.items():
+                group.append(seen(t + 1.0, robot, post, poses[robot], point, rng.normal(size=2) * (0.01, 0.03)))
+        estimate = estimator.update(group)
+        keys = [estimate.pose_key(robot) for robot in ROBOTS]
+        keys += [estimate.landmark_key(post) for post in posts if post in estimate.landmarks]
+        means = [estimate.any_value(key) for key in keys]
+        turn = [
+            [-m[1], m[0]] if isinstance(m, np.ndarray) else [*m.rotation().unrotate([-m.y(), m.x()]), 1] for m in means
+        ]
+        turn = np.concatenate(turn)
+        known.append(turn @ np.linalg.solve(estimate.joint_covariance(keys), turn))
+    assert len(estimate.landmarks) == 3
+    assert max(known) < 1.02 * known[0]  # levers follow by the millimetre; left where they were: 300 times as much
 
 
 def test_innovations_are_chi_square_distributed_by_kind():
@@ -235,7 +270,7 @@ def test_settings_out_of_range_are_refused():
 
 def test_the_state_holds_latest_poses_vertices_and_landmarks_only():
     world = leapfrog(np.random.default_rng(8), legs=30, scale=0.1)
-    estimator, estimate = run(world)
+    estimator, estimate = run(world, Ekf(ROBOTS, settings=EkfSettings(sightings_kept=0)))
     assert estimator._state.size == 3 * (2 + 6)
     assert estimator.values().size() == len(estimator.timeline.stamps) + 6
     past, now = estimator.timeline.tracks[R0].keys[3], estimate.pose_key(R0)
@@ -246,7 +281,7 @@ def test_the_state_holds_latest_poses_vertices_and_landmarks_only():
 
 def test_the_trajectory_is_what_was_known_when_a_pose_left():
     world = leapfrog(np.random.default_rng(9), legs=12, scale=0.5)
-    estimator, before = Ekf(ROBOTS), {}
+    estimator, before = Ekf(ROBOTS, settings=EkfSettings(sightings_kept=0)), {}
     for group in world.groups:
         estimate = estimator.update(group)
         for robot in ROBOTS:
@@ -259,6 +294,22 @@ def test_the_trajectory_is_what_was_known_when_a_pose_left():
         if key in before:  # the last of its group, then left at the next leg
             assert difference(pose, before[key][0]) < 1e-12
             np.testing.assert_allclose(cov, before[key][1], rtol=1e-9)
+
+
+def test_the_last_poses_that_sighted_corners_stay_with_all_that_they_have_in_common():
+    world = leapfrog(np.random.default_rng(14), legs=20, scale=0.03)
+    estimator, estimate = run(world, Ekf(ROBOTS, settings=EkfSettings(sightings_kept=4)))
+    assert estimator._state.size == 3 * (2 + 6 + 4)
+    sighted = [estimate.pose_key_at(R1, group[-1].stamp_s) for group in world.groups[11:20:2]]  # robot1's last legs
+    with pytest.raises(UnderDetermined, match="has left the filter's state"):
+        estimate.joint_covariance([sighted[0]])
+    batch = batch_of(estimator)
+    keys = [sighted[-2], estimate.vertex_key(3), estimate.pose_key(R1)]
+    ours, theirs = estimate.joint_covariance(keys), batch.joint_covariance(keys)
+    sigmas = np.sqrt(np.diag(theirs))
+    np.testing.assert_allclose(ours / np.outer(sigmas, sigmas), theirs / np.outer(sigmas, sigmas), atol=5e-3)
+    assert difference(estimate.value(keys[0]), batch.value(keys[0])) < 2e-5
+    assert np.linalg.eigvalsh(estimator._state.cov)[0] > 0
 
 
 def test_a_fix_of_a_pose_that_has_left_is_counted():
@@ -326,11 +377,8 @@ def test_robots_that_are_placed_late_come_with_the_covariance_of_their_tree(join
         estimate = estimator.update(group)
     fixes = [i for i in range(estimator.graph.size()) if _is_fix(estimator.graph.at(i))]
     assert len(fixes) == 4 and estimator.timeline.dropped[f"RelativePoseFix: {TOO_LATE}"] == 2
-    graph = gtsam.NonlinearFactorGraph()
-    spare = sorted(fixes, key=lambda i: max(gtsam.symbolIndex(k) & 0xFFFF for k in estimator.graph.at(i).keys()))[1:3]
-    for i in range(estimator.graph.size()):
-        if i not in spare:
-            graph.push_back(estimator.graph.at(i))
+    unused = sorted(fixes, key=lambda i: _last_number(estimator.graph.at(i).keys()))[1:3]
+    graph = without(estimator.graph, unused)
     batch = BatchEstimate(estimator.timeline, graph, solve_batch(graph, estimator.values()))
     keys = [estimate.pose_key(robot) for robot in robots]
     for robot, key in zip(robots, keys, strict=True):
@@ -349,6 +397,10 @@ def test_robots_that_are_placed_late_come_with_the_covariance_of_their_tree(join
 def _is_fix(factor):
     keys = factor.keys()
     return isinstance(factor, gtsam.BetweenFactorPose2) and keys[0] >> 32 != keys[1] >> 32
+
+
+def _last_number(keys):
+    return max(gtsam.symbolIndex(key) & 0xFFFF for key in keys)
 
 
 def test_a_prior_places_a_robot_in_the_frame_itself():

@@ -3,7 +3,18 @@ import numpy as np
 import pytest
 
 from coopslam.estimation import factors
-from coopslam.records import BearingFix, BearingRangeFix, CornerSighting, RangeFix, RelativePoseFix, WallDecision
+from coopslam.estimation.loss import Loss
+from coopslam.records import (
+    BearingFix,
+    BearingRangeFix,
+    CornerSighting,
+    LandmarkPrior,
+    LoopClosure,
+    PosePrior,
+    RangeFix,
+    RelativePoseFix,
+    WallDecision,
+)
 from coopslam.se2 import Pose2
 
 A, B = gtsam.symbol("x", 0), gtsam.symbol("x", 1)
@@ -20,6 +31,7 @@ WALL_END = Pose2(*(POSE_A.transformFrom(np.array([3.0, 0.0]))), 0.3)
 POSE_POSE = {
     "odometry": (factors.odometry_leg(A, B, T_A_B, COV), POSE_B),
     "relative pose": (factors.relative_pose(A, B, RelativePoseFix(0.0, "a", "b", T_A_B, COV)), POSE_B),
+    "loop closure": (factors.loop_closure(A, B, LoopClosure(0.0, 1.0, "a", "b", T_A_B, COV)), POSE_B),
     "corner": (factors.corner(A, B, CornerSighting(0.0, "a", T_A_B, COV, 1.5, 0.1)), POSE_B),
     "wall": (factors.wall(A, B, WallDecision(0.0, 1, 2, 0.1)), WALL_END),
     "bearing and range": (factors.bearing_range(A, B, BEARING_RANGE), POSE_B),
@@ -95,3 +107,49 @@ def test_a_pure_turn_gets_a_floor_and_a_regular_covariance_is_left_alone():
     assert factors.floored(COV) is COV
     factor = factors.odometry_leg(A, B, Pose2(0, 0, 1.0), turn)
     assert np.isfinite(factor.linearize(values_of(Pose2(), Pose2(0, 0, 1.1))).jacobian()[0]).all()
+
+
+POSE_PRIOR = factors.pose_prior(A, PosePrior(0.0, "a", POSE_A, COV))
+POINT_PRIOR = factors.landmark_prior(A, LandmarkPrior(0.0, "l", SEEN, COV[:2, :2]))
+
+
+@pytest.mark.parametrize(
+    ("factor", "place", "off"),
+    [(POSE_PRIOR, POSE_A, Pose2(0.9, -0.4, 2.4)), (POINT_PRIOR, SEEN, SEEN + [0.3, -0.4])],
+    ids=["pose", "landmark"],
+)
+def test_a_prior(factor, place, off):
+    def value_of(x):
+        values = gtsam.Values()
+        values.insert(A, x)
+        return values
+
+    assert factor.error(value_of(place)) == pytest.approx(0.0, abs=1e-20)
+    steps = np.eye(3 if isinstance(place, Pose2) else 2) * 1e-6
+    ends = [[factor.whitenedError(value_of(moved(off, side))) for side in (step, -step)] for step in steps]
+    numeric = np.array([(plus - minus) / 2e-6 for plus, minus in ends]).T
+    jacobian, _ = factor.linearize(value_of(off)).jacobian()
+    np.testing.assert_allclose(jacobian, numeric, atol=1e-7)
+
+
+def test_a_surveyed_point_weighs_errors_in_the_axes_of_the_frame_and_a_pose_in_its_own():
+    values = gtsam.Values()
+    values.insert(A, SEEN + [0.1, 0.0])
+    assert POINT_PRIOR.error(values) == pytest.approx(0.5 * 0.1**2 * np.linalg.inv(COV[:2, :2])[0, 0])
+    values = gtsam.Values()
+    values.insert(A, POSE_A * Pose2(0.0, 0.1, 0.0))
+    assert POSE_PRIOR.error(values) == pytest.approx(0.5 * 0.1**2 * np.linalg.inv(COV)[1, 1])
+
+
+@pytest.mark.parametrize("is_point", [False, True])
+def test_a_loss_reaches_every_fix_of_a_point(is_point):
+    """Ten sigmas off, Cauchy's cost is c^2 / 2 log(1 + (10 / c)^2) for two or for one that is off."""
+    loss = Loss("cauchy")
+    place = SEEN if is_point else POSE_B
+    for make, fix in (
+        (factors.bearing_range, BearingRangeFix(0.0, "a", "b", BEARING, RANGE + 1.0, np.diag([0.1, 0.1]) ** 2)),
+        (factors.distance, RangeFix(0.0, "a", "b", RANGE + 1.0, 0.1)),
+        (factors.bearing, BearingFix(0.0, "a", "b", BEARING + 1.0, 0.1)),
+    ):
+        cost = make(A, B, fix, is_point, loss).error(values_of(POSE_A, place))
+        assert cost == pytest.approx(2.385**2 / 2 * np.log1p((10 / 2.385) ** 2), rel=1e-3)

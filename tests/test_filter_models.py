@@ -21,12 +21,12 @@ def noise(dim):
 def exact(kind):
     """The kind of factor with what it would measure at MEANS."""
     a, b, point = Pose2(*MEANS[POSE]), Pose2(*MEANS[OTHER]), MEANS[POINT]
-    to_pose, to_point = b.translation(), point
+    to_pose, aim = b.translation(), a.bearing(b.translation())
     return {
         "between": gtsam.BetweenFactorPose2(POSE, OTHER, a.between(b), noise(3)),
-        "bearing-range pose": gtsam.BearingRangeFactorPose2(POSE, OTHER, a.bearing(to_pose), a.range(to_pose), noise(2)),
-        "bearing-range point": gtsam.BearingRangeFactor2D(POSE, POINT, a.bearing(point), a.range(to_point), noise(2)),
-        "bearing pose": gtsam.BearingFactorPose2(POSE, OTHER, a.bearing(to_pose), noise(1)),
+        "bearing-range pose": gtsam.BearingRangeFactorPose2(POSE, OTHER, aim, a.range(to_pose), noise(2)),
+        "bearing-range point": gtsam.BearingRangeFactor2D(POSE, POINT, a.bearing(point), a.range(point), noise(2)),
+        "bearing pose": gtsam.BearingFactorPose2(POSE, OTHER, aim, noise(1)),
         "bearing point": gtsam.BearingFactor2D(POSE, POINT, a.bearing(point), noise(1)),
         "range pose": gtsam.RangeFactorPose2(POSE, OTHER, a.range(to_pose), noise(1)),
         "range point": gtsam.RangeFactor2D(POSE, POINT, a.range(point), noise(1)),

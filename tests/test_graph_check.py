@@ -5,7 +5,7 @@ import pytest
 from coopslam.errors import UnderDetermined
 from coopslam.estimation.factors import gauge_prior, odometry_leg
 from coopslam.estimation.graph_check import check, complaints
-from coopslam.estimation.keys import pose_key, vertex_key
+from coopslam.estimation.keys import landmark_key, pose_key, vertex_key
 from coopslam.se2 import Pose2
 
 ROBOTS = ("robot0", "robot1")
@@ -62,3 +62,33 @@ def test_a_long_list_is_shortened():
     keys = [pose_key(1, i) for i in range(50)]
     [line] = complaints(graph_of(*map(leg, keys[:-1], keys[1:])), values_of(*keys), ROBOTS)
     assert line.endswith("robot1 pose 4 and 45 more are not connected to a prior")
+
+
+def test_nothing_lacks_nothing_and_removed_factors_count_for_nothing():
+    assert complaints(graph_of(), values_of()) == []
+    graph = graph_of(gauge_prior(P0), leg(P0, P1))
+    graph.remove(1)
+    assert complaints(graph, values_of(P0, P1), ROBOTS) == ["robot0 pose 1 appear in no factor"]
+    graph.remove(0)
+    assert complaints(graph, values_of(P0), ROBOTS) == ["robot0 pose 0 appear in no factor"]
+    assert complaints(graph_of(leg(P0, P1)), values_of(), ROBOTS) == [
+        "robot0 pose 0, robot0 pose 1 have factors but no value"
+    ]
+
+
+def test_a_landmark_has_two_unknowns():
+    landmark, noise = landmark_key(3), gtsam.noiseModel.Isotropic.Sigma(1, 0.1)
+    values = values_of(P0)
+    values.insert(landmark, np.zeros(2))
+    graph = graph_of(gauge_prior(P0), gtsam.RangeFactor2D(P0, landmark, 1.0, noise))
+    assert complaints(graph, values) == ["landmark #3 have fewer equations than unknowns"]
+    graph.push_back(gtsam.BearingFactor2D(P0, landmark, gtsam.Rot2(0.1), noise))
+    assert complaints(graph, values) == []
+
+
+def test_a_prior_on_a_variable_without_value_holds_nothing():
+    graph = graph_of(gauge_prior(V), leg(P0, P1))
+    assert complaints(graph, values_of(P0, P1), ROBOTS) == [
+        "vertex 4 have factors but no value",
+        "robot0 pose 0, robot0 pose 1 are not connected to a prior",
+    ]

@@ -7,8 +7,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-LAYERS = ["errors", "se2", "records", "estimation", "exploration", "planning", "evaluation", "report"]  # lower first
-VOCABULARY = ["coopslam.errors", "coopslam.se2", "coopslam.records", "coopslam.exploration.moves"]
+LAYERS = [  # lower first
+    *("errors", "se2", "records", "odometry_noise"),
+    *("estimation", "exploration", "planning", "evaluation", "report"),
+]
+VOCABULARY = [*(f"coopslam.{layer}" for layer in LAYERS[:4]), "coopslam.exploration.moves"]
 OURS = ["coopslam", "sim", "tracker", "scripts", "tests"]
 
 
@@ -36,7 +39,7 @@ def allowed(path: str) -> list[str]:
     if top == "tracker":
         return ["tracker", *VOCABULARY]
     if top == "coopslam" and part == "io":
-        return ["coopslam.io", *VOCABULARY[:3]]
+        return ["coopslam.io", *VOCABULARY[:4]]
     if top == "coopslam" and part in LAYERS:
         return [f"coopslam.{layer}" for layer in LAYERS[: LAYERS.index(part) + 1]] + (
             ["coopslam.io"] if part == "report" else []

@@ -25,10 +25,13 @@ from coopslam.records import (
     CornerDecision,
     CornerSighting,
     Decision,
+    LandmarkPrior,
     LogHeader,
+    LoopClosure,
     Measurement,
     MoveNote,
     Odometry,
+    PosePrior,
     RangeFix,
     RelativePoseFix,
     TriangleDecision,
@@ -38,6 +41,7 @@ from coopslam.se2 import Pose2
 
 HEADER = LogHeader(
     ("anna", "bert"),
+    ("landmark 6", "é"),
     seed=7,
     world='one "obstacle"',
     sensor_models={"tracker": {"range_sigma_m": 0.1 + 0.2, "axes": ["x", "y"], "limit": None}},
@@ -65,6 +69,9 @@ def one_of_each(rng, stamp):
         BearingRangeFix(stamp, "anna", "landmark 6", rng.normal(), rng.uniform(0, 9), random_cov(rng, 2)),
         RangeFix(stamp, "anna", "bert", rng.uniform(0, 9), 0.03),
         BearingFix(stamp, "bert", "anna", rng.normal(), 1e-300),
+        LoopClosure(stamp - 9.0, stamp, "bert", "anna", random_pose(rng), random_cov(rng, 3)),
+        PosePrior(stamp, "anna", random_pose(rng), random_cov(rng, 3)),
+        LandmarkPrior(stamp, "landmark 6", rng.normal(size=2), random_cov(rng, 2)),
         sighting,
         CornerDecision(stamp, sighting, 4, True, evidence="only candidate; é \"'\n"),
         CornerDecision(stamp, sighting, 5, False, rng.uniform(0, 9), rng.uniform(9, 99)),
@@ -127,7 +134,7 @@ def refused(path, expected, **options):
 
 
 def test_every_kind_comes_back_in_order_to_the_last_bit(tmp_path):
-    records = some_records(200)  # 2200 records: several chunks
+    records = some_records(200)  # 2800 records: several chunks
     header, again = read_run_log(write(tmp_path / "log.mcap", records))
     assert header == HEADER
     assert len(again) == len(records)
@@ -177,6 +184,17 @@ def test_numpy_numbers_and_extreme_stamps(tmp_path):
     assert (wall.stamp_s, wall.start, wall.end) == (1e300, 1, 2)
     assert (distance.stamp_s, distance.range_m, distance.sigma_m) == (-1e300, 0.5, 5e-324)
     assert odometry.cov_now.dtype == float and type(odometry.stamp_s) is float
+
+
+def test_a_log_of_before_there_were_landmarks(tmp_path):
+    """Its metadata say nothing of them."""
+    path = write_foreign(tmp_path / "log.mcap", [message_of(Odometry(0.0, 1.0, "anna", Pose2(), np.eye(3)))])
+    header, records = read_run_log(path)
+    assert (header.robots, header.landmarks, len(records)) == (("anna", "bert"), (), 1)
+    again, _ = read_run_log(write_foreign(tmp_path / "new.mcap", [], header={"landmarks": '["post"]'}))
+    assert again.landmarks == ("post",)
+    refused(write_foreign(tmp_path / "bad.mcap", [], header={"landmarks": '["anna"]'}), "different names")
+    refused(write_foreign(tmp_path / "worse.mcap", [], header={"landmarks": "3"}), "header of the run log")
 
 
 def test_a_log_without_records(tmp_path):

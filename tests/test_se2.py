@@ -1,13 +1,17 @@
 import gtsam
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from monte_carlo import require_covariance
+from scipy.optimize import minimize
 
 from coopslam.se2 import (
     Pose2,
     PoseBelief,
     adjoint,
     compose_leg,
+    fit_pose,
     is_covariance,
     observer_to_target_axes,
     position_covariance_in_parent,
@@ -130,3 +134,46 @@ def test_wrap_at_the_cut():
 )
 def test_what_is_a_covariance(matrix, size, good):
     assert is_covariance(matrix, size) is good
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1, 2, 3]), st.integers(-12, 0))
+def test_what_is_a_covariance_is_what_numpy_decomposes(seed, size, exponent):
+    """Eigenvalues of all sizes around zero; a billionth of the largest entry is rounding."""
+    rng = np.random.default_rng(seed)
+    axes = np.linalg.qr(rng.normal(size=(size, size)))[0]
+    variances = rng.choice([-1, 1, 1, 1], size) * 10.0 ** rng.uniform(exponent, 0, size)
+    matrix = (axes * variances) @ axes.T * 10.0 ** rng.integers(-20, 20)
+    matrix = (matrix + matrix.T) / 2
+    smallest = np.linalg.eigvalsh(matrix)[0] / np.abs(matrix).max() + 1e-9
+    if abs(smallest) > 1e-13:
+        assert is_covariance(matrix, size) == (smallest > 0)
+
+
+def sum_of_squares(pose, points_b, points_a, weights):
+    off = np.array([Pose2(*pose).transformFrom(point) for point in points_b]) - points_a
+    return weights @ (off**2).sum(axis=1)
+
+
+@pytest.mark.parametrize("count", [2, 3, 20])
+@pytest.mark.parametrize("weighted", [False, True])
+def test_a_fit_against_a_search(count, weighted):
+    rng = np.random.default_rng(count)
+    points_b = rng.normal(size=(count, 2)) * 3
+    truth = Pose2(2.0, -7.0, 2.8)
+    points_a = np.array([truth.transformFrom(point) for point in points_b]) + 0.3 * rng.normal(size=(count, 2))
+    weights = rng.uniform(0.1, 9, count) if weighted else np.ones(count)
+    found = fit_pose(points_b, points_a, weights if weighted else None)
+    best = minimize(sum_of_squares, xytheta(truth), (points_b, points_a, weights), tol=1e-12)
+    np.testing.assert_allclose(xytheta(found.between(Pose2(*best.x))), 0.0, atol=1e-5)  # the search's differences
+    assert sum_of_squares(xytheta(found), points_b, points_a, weights) <= best.fun * (1 + 1e-9)
+
+
+def test_a_fit_against_gtsams():
+    rng = np.random.default_rng(7)
+    points_b = rng.normal(size=(6, 2))
+    points_a = points_b @ np.array([[0.0, 1], [-1, 0]]) + [3.0, 1.0] + 0.01 * rng.normal(size=(6, 2))
+    assert fit_pose(points_b, points_a).equals(gtsam.Pose2.Align(points_a.T, points_b.T), 1e-9)
+
+
+def test_a_fit_of_points_that_coincide_does_not_turn():
+    assert fit_pose(np.ones((3, 2)), np.full((3, 2), 5.0)).equals(Pose2(4.0, 4.0, 0.0), 1e-12)

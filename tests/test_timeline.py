@@ -1,17 +1,22 @@
 import gtsam
 import numpy as np
 import pytest
+from landmark_world import landmark_world
 from leapfrog import FIX_COV, ROBOTS, difference, leapfrog
 
 from coopslam.errors import BadRecord
-from coopslam.estimation.keys import pose_key, vertex_key
-from coopslam.estimation.timeline import Timeline
+from coopslam.estimation.keys import landmark_key, pose_key, value_of, vertex_key
+from coopslam.estimation.timeline import Timeline, TimelineSettings, is_motion
 from coopslam.records import (
+    BearingFix,
     BearingRangeFix,
     CornerDecision,
     CornerSighting,
+    LandmarkPrior,
+    LoopClosure,
     MoveNote,
     Odometry,
+    PosePrior,
     RangeFix,
     RelativePoseFix,
     TriangleDecision,
@@ -26,11 +31,12 @@ R0, R1 = ROBOTS
 class Run:
     """A timeline with its guesses as the current values."""
 
-    def __init__(self, robots=ROBOTS):
-        self.timeline, self.values, self.graph = Timeline(robots), gtsam.Values(), gtsam.NonlinearFactorGraph()
+    def __init__(self, robots=ROBOTS, landmarks=(), **settings):
+        self.timeline = Timeline(robots, landmarks, TimelineSettings(**settings))
+        self.values, self.graph = gtsam.Values(), gtsam.NonlinearFactorGraph()
 
     def take(self, *records):
-        growth = self.timeline.extend(records, self.values.atPose2)
+        growth = self.timeline.extend(records, lambda key: value_of(self.values, key))
         self.values.insert(growth.values)
         self.graph.push_back(growth.graph)
         return growth
@@ -159,3 +165,120 @@ def test_the_same_records_give_the_same_keys_however_they_are_grouped():
         single.take(record)
     assert whole.timeline.stamps == single.timeline.stamps
     assert whole.factor_keys() == single.factor_keys()
+
+
+@pytest.mark.parametrize("kind", ["bearing and range", "range", "bearing"])
+def test_landmarks_and_meetings_too_are_the_same_however_they_are_grouped(kind):
+    """Records of two robots that find each other on the way: keys, their order, and every number of the graph."""
+    world = landmark_world(4, kind=kind)
+    runs = []
+    for group in (1, 7, 10_000):
+        run = Run(world.robots, tuple(world.landmarks))
+        for k in range(0, len(world.records), group):
+            run.take(*world.records[k : k + group])
+        runs.append(run)
+    assert runs[0].timeline.is_placed("r1") or kind == "bearing"
+    assert runs[0].timeline.placed_landmarks
+    for run in runs[1:]:
+        assert run.timeline.stamps == runs[0].timeline.stamps
+        assert run.timeline.placed_landmarks == runs[0].timeline.placed_landmarks
+        assert run.graph.equals(runs[0].graph, 1e-12)
+        assert run.values.equals(runs[0].values, 1e-9)
+
+
+@pytest.mark.parametrize("first_robot_began", [True, False])
+def test_a_pose_prior_gives_a_robot_its_place(first_robot_began):
+    run, place = Run(), Pose2(3.0, 4.0, 1.0)
+    if first_robot_began:
+        run.take(sighting(0.5, R0))
+    growth = run.take(drive(R1, 0.0, 1.0), PosePrior(1.0, R1, place, COV))
+    assert run.timeline.is_placed(R1)
+    assert difference(run.values.atPose2(pose_key(0, 0)), Pose2()) < 1e-12
+    assert difference(run.values.atPose2(pose_key(1, 1)), place) < 1e-12
+    assert difference(run.values.atPose2(pose_key(1, 0)), place * Pose2(1.0, 0.0, 0.1).inverse()) < 1e-12
+    edge = growth.tree[-1]
+    assert (edge.key_a, edge.key_b) == (pose_key(0, 0), pose_key(1, 1)) and difference(edge.T_a_b, place) < 1e-12
+    priors = [run.graph.at(i) for i, keys in enumerate(run.factor_keys()) if keys == (pose_key(1, 1),)]
+    assert [difference(prior.prior(), place) < 1e-12 for prior in priors] == [True]
+    run.take(drive(R0, 1.0, 2.0), sighting(2.0, R0))  # the first robot's odometry comes later
+    assert not run.timeline.dropped
+    assert difference(run.values.atPose2(pose_key(0, 1)), Pose2(1.0, 0.0, 0.1)) < 1e-12
+
+
+def test_a_pose_prior_of_the_first_robot_is_one_more_factor():
+    run = Run()
+    run.take(drive(R0, 0.0, 1.0), PosePrior(1.0, R0, Pose2(1.1, 0.0, 0.1), COV))
+    assert run.factor_keys() == [(pose_key(0, 0),), (pose_key(0, 0), pose_key(0, 1)), (pose_key(0, 1),)]
+    assert difference(run.values.atPose2(pose_key(0, 1)), Pose2(1.0, 0.0, 0.1)) < 1e-12  # odometry guesses
+
+
+def test_a_landmark_prior_is_a_place_at_once():
+    run = Run(landmarks=("tree", "post"))
+    fixes = [BearingFix(0.0, R0, "post", 0.1, 0.01), RangeFix(0.0, R0, "post", 2.0, 0.1)]
+    run.take(*fixes)
+    assert run.timeline.held_back == 2
+    run.take(LandmarkPrior(0.0, "post", [2.0, 0.2], np.eye(2)), LandmarkPrior(0.0, "house", np.zeros(2), np.eye(2)))
+    assert run.timeline.placed_landmarks == ["post"] and run.timeline.held_back == 0
+    np.testing.assert_array_equal(run.values.atPoint2(landmark_key(1)), [2.0, 0.2])
+    assert run.factor_keys()[1:] == [(pose_key(0, 0), landmark_key(1))] * 2 + [(landmark_key(1),)]
+    assert run.timeline.dropped == {"LandmarkPrior: unknown landmark": 1}
+    run.take(LandmarkPrior(0.0, "post", [9.0, 9.0], np.eye(2)))  # a second one moves no guess
+    np.testing.assert_array_equal(run.values.atPoint2(landmark_key(1)), [2.0, 0.2])
+
+
+def test_a_loop_closure_finds_a_past_pose_where_each_leg_has_its_own():
+    closure = LoopClosure(1.0, 3.0, R0, R0, Pose2(2.0, 0.3, 0.2), COV)
+    steps = [drive(R0, k, k + 1) for k in range(3)]
+    run = Run(every_leg=True)
+    run.take(*steps, closure)
+    assert run.factor_keys()[-1] == (pose_key(0, 1), pose_key(0, 3))
+    factor = run.graph.at(run.graph.size() - 1)
+    assert difference(factor.measured(), closure.T_earlier_now) < 1e-12
+    np.testing.assert_allclose(factor.noiseModel().covariance(), COV, rtol=1e-9)
+    without = Run()
+    without.take(*steps, closure)
+    assert without.timeline.dropped == {"LoopClosure: older than the odometry after it": 1}
+
+
+def test_a_loop_closure_with_another_robots_past_places_a_robot():
+    run = Run(every_leg=True)
+    run.take(*(drive(R0, k, k + 1) for k in range(3)), drive(R1, 0.0, 4.0))
+    run.take(LoopClosure(2.0, 4.0, R0, R1, Pose2(0.5, 0.5, 3.0), COV), LoopClosure(2.0, 4.0, "x", R1, Pose2(), COV))
+    expected = Pose2(1.0, 0.0, 0.1) * Pose2(1.0, 0.0, 0.1) * Pose2(0.5, 0.5, 3.0)
+    assert difference(run.values.atPose2(pose_key(1, 1)), expected) < 1e-12
+    assert run.timeline.dropped == {"LoopClosure: unknown robot": 1}
+
+
+def test_a_target_that_nobody_knows_is_dropped_and_counted():
+    run = Run(landmarks=("tree",))
+    run.take(BearingFix(0.0, R0, "house", 0.1, 0.1), BearingFix(0.0, "x", "tree", 0.1, 0.1), fix(0.0, R0, "house"))
+    assert run.timeline.dropped == {
+        "BearingFix: unknown target": 1,
+        "BearingFix: unknown robot": 1,
+        "RelativePoseFix: unknown target": 1,
+    }
+    assert run.graph.size() == 0
+    with pytest.raises(BadRecord, match="different names"):
+        Timeline(("a", "b"), ("b",))
+
+
+def test_who_saw_whom_is_counted():
+    run = Run(landmarks=("tree",))
+    run.take(
+        BearingFix(1.0, R1, "tree", 0.1, 0.1), RangeFix(3.0, R1, "tree", 1.0, 0.1), RangeFix(2.0, R0, R1, 1.0, 0.1)
+    )
+    told = {pair: (seen.times, seen.last_s) for pair, seen in run.timeline.seen.items()}
+    assert told == {(R1, "tree"): (2, 3.0), (R0, R1): (1, 2.0)}
+
+
+@pytest.mark.parametrize(
+    ("step", "cov", "moves"),
+    [
+        (Pose2(), np.zeros((3, 3)), False),
+        (Pose2(0, 0, 1e-9), np.zeros((3, 3)), True),
+        (Pose2(0, -1e-9, 0), np.zeros((3, 3)), True),
+        (Pose2(), np.diag([0.0, 0.0, 1e-9]), True),  # it may have turned
+    ],
+)
+def test_what_is_motion(step, cov, moves):
+    assert is_motion(Odometry(0.0, 1.0, R0, step, cov)) is moves

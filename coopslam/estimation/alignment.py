@@ -28,7 +28,7 @@ class AlignmentSettings:
     ranges_min: int = 20  # when there is nothing but ranges
     gate_sigmas: float = 3.0  # how far two points that agree may be apart
     drift_sigma_m: float = 0.05  # of points in a frame that hangs on odometry, beside their own sigma
-    caution: float = 3.0  # sigmas are multiplied with this: drift is shared by all points
+    caution: float = 3.0  # sigmas are multiplied with this: the same fixes are used again once the frames are one
 
     def __post_init__(self):
         require_between(2, 1000, pairs_min=self.pairs_min)
@@ -86,7 +86,7 @@ def align(
     rivals = votes[_is_elsewhere(angles, shifts, best, points_b[chosen].mean(axis=0), 2 * gates.max())]
     if chosen.sum() < settings.share_min * count or rivals.max(initial=0) > _RIVAL_SHARE * chosen.sum():
         return None
-    result = _with_covariance(T_a_b, points_b[chosen], off[chosen], sigmas[chosen], settings.caution)
+    result = _with_covariance(T_a_b, points_b[chosen], off[chosen], sigmas[chosen], settings)
     return result if np.sqrt(result.cov_centre[2, 2]) <= settings.heading_sigma_max_rad * settings.caution else None
 
 
@@ -133,17 +133,20 @@ def _is_elsewhere(
 
 
 def _with_covariance(
-    T_a_b: Pose2, points_b: np.ndarray, off: np.ndarray, sigmas: np.ndarray, caution: float
+    T_a_b: Pose2, points_b: np.ndarray, off: np.ndarray, sigmas: np.ndarray, settings: AlignmentSettings
 ) -> Alignment:
     """First order: shift and turn of a weighted rigid fit about the weighted centre of its points are independent.
 
-    Where the points fit worse than their sigmas say, the sigmas are scaled up.
+    Where the points fit worse than their sigmas say, the sigmas are scaled up. What points drift together does not
+    become less with their number.
     """
     weights = sigmas**-2
-    scale = max(float(np.mean(weights * off**2)) / 2, 1.0) * caution**2
+    scale = max(float(np.mean(weights * off**2)) / 2, 1.0)
     centre = weights @ points_b / weights.sum()
-    arms = float(weights @ ((points_b - centre) ** 2).sum(axis=1))
-    cov = scale * np.diag([1 / weights.sum(), 1 / weights.sum(), 1 / max(arms, 1e-12)])
+    arms = max(float(weights @ ((points_b - centre) ** 2).sum(axis=1)), 1e-12)
+    variance = scale / weights.sum() + settings.drift_sigma_m**2
+    by_arms = weights.sum() / arms
+    cov = settings.caution**2 * variance * np.diag([1.0, 1.0, by_arms])
     return Alignment(T_a_b, centre, cov, len(points_b))
 
 

@@ -3,22 +3,24 @@
 The filter of Roumeliotis and Bekey (Distributed multirobot localization, 2002), kept in one place, with the map in it
 (Smith, Self and Cheeseman 1990). Odometry carries a robot's pose to the next and the last one leaves the state; every
 other measurement corrects everything that is correlated with what it measured, once, linearized at the estimate of that
-moment. What concerns a pose that has left comes too late, and is counted as dropped.
+moment. What concerns a pose that has left comes too late, and is counted as dropped. Poses from which corners were
+sighted stay for a while, as copies: the team decides later which vertex it was, and asks for joint covariances.
 """
 
 import time
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from math import inf
-from typing import NamedTuple
 
 import gtsam
 import numpy as np
 from scipy.stats import chi2
 
 from coopslam.errors import UnderDetermined, require_between
+from coopslam.estimation.ekf_estimate import Departed, EkfEstimate, Innovation
 from coopslam.estimation.estimate import Estimate
 from coopslam.estimation.factors import floored
 from coopslam.estimation.filter_models import (
@@ -31,13 +33,13 @@ from coopslam.estimation.filter_models import (
     prior_mean,
     sighting,
 )
-from coopslam.estimation.filter_state import FilterState, in_frame_axes, in_own_axes
+from coopslam.estimation.filter_state import FilterState, in_frame_axes
 from coopslam.estimation.filter_tree import Tree, seen_from
 from coopslam.estimation.gate import Gate, GateSettings
-from coopslam.estimation.keys import describe, is_landmark, pose_key, robot_index
+from coopslam.estimation.keys import is_landmark, pose_key, robot_index
 from coopslam.estimation.timeline import Timeline, TimelineSettings
 from coopslam.estimation.tracks import Edge, Growth
-from coopslam.records import Record
+from coopslam.records import CornerSighting, Record
 from coopslam.se2 import Pose2, chain_covariance, xytheta
 
 TOO_LATE = "older than the filter's state"
@@ -49,29 +51,16 @@ _ORIGIN = pose_key(0, 0)
 
 @dataclass(frozen=True, slots=True)
 class EkfSettings:
-    """Which measurements a filter refuses."""
+    """Which measurements a filter refuses, and how much of the past it holds."""
 
     # Probability that a good measurement is refused for its innovation; zero: no gate. Relative pose fixes have the
     # gate of all estimators instead (`gate`); that a corner is a known vertex the team has decided on better grounds.
     gate_probability: float = 1e-4
+    sightings_kept: int = 30  # so many of the last poses from which corners were sighted stay in the state
 
     def __post_init__(self):
         require_between(0.0, 1.0, gate_probability=self.gate_probability)
-
-
-class Innovation(NamedTuple):
-    """How far a measurement was from its prediction."""
-
-    kind: str  # in words
-    nis: float  # squared, normalized with its covariance; chi-square distributed when that is honest
-    dof: int
-
-
-class Departed(NamedTuple):
-    """A pose when it left the state."""
-
-    mean: np.ndarray  # (3,)
-    cov: np.ndarray  # (3, 3) axes of the frame
+        require_between(0, 10_000, sightings_kept=self.sightings_kept)
 
 
 class Ekf:
@@ -98,7 +87,9 @@ class Ekf:
         self._ahead: deque[Edge] = deque()  # edges of this update that are not yet used
         self._spent: dict[tuple[int, int], Edge] = {}  # edges that were used, until their factors come
         self._latest: dict[int, int] = {}  # index of a robot -> its pose in the state
-        self._estimate = EkfEstimate(self)
+        self._sighters: set[int] = set()  # poses from which corners were sighted
+        self._kept: deque[int] = deque()  # those of them that robots have left and the state holds
+        self._estimate = EkfEstimate(self.timeline, self._state, self._departed, self.innovations)
 
     def update(self, records: Iterable[Record]) -> Estimate:
         """Filter a further group of records."""
@@ -106,6 +97,7 @@ class Ekf:
         records = list(records)
         refusals = self._gate.refusals(records, self._estimate)
         growth = self.timeline.extend(records, self._estimate.any_value, refusals)
+        self._sighters.update(self._poses_of_sightings(records))
         self._take(growth)
         self._estimate.keep_causal(growth.poses)
         self.timing += time.perf_counter() - began
@@ -119,6 +111,12 @@ class Ekf:
         return values
 
     # ---- what comes in ----
+
+    def _poses_of_sightings(self, records: Iterable[Record]) -> Iterator[int]:
+        for record in records:
+            if isinstance(record, CornerSighting) and record.observer in self.timeline.tracks:
+                with suppress(UnderDetermined):  # a robot without a place, or a sighting that was dropped
+                    yield self._estimate.pose_key_at(record.observer, record.stamp_s)
 
     def _take(self, growth: Growth) -> None:
         """Use new factors in their order; last those on variables that only poses of the past have seen."""
@@ -200,13 +198,28 @@ class Ekf:
         known = [key for key in (edge.key_a, edge.key_b) if self._is_known(key)]
         if is_leg and known:
             self._tree.add_leg(edge)
-            self._leave(edge.key_a)
-            self._state.drive(edge.key_a, edge.key_b, edge.T_a_b, edge.cov_b)
-            self._latest[robot_index(edge.key_b)] = edge.key_b
+            self._drive(edge)
         elif known:
             self._join(known[0], edge)
         else:
             self._tree.add_open(edge, is_leg)
+
+    def _drive(self, leg: Edge) -> None:
+        """The pose at the start leaves the state, or a copy of it drives."""
+        start, end = leg.key_a, leg.key_b
+        if start in self._sighters and self.settings.sightings_kept:
+            oldest = self._kept.popleft() if len(self._kept) == self.settings.sightings_kept else None
+            if oldest is not None:
+                self._leave(oldest)
+                self._sighters.discard(oldest)
+            self._kept.append(start)
+            self._state.clone(start, end, oldest)
+            self._state.drive(end, end, leg.T_a_b, leg.cov_b)
+            self._placed([end])
+        else:
+            self._leave(start)
+            self._state.drive(start, end, leg.T_a_b, leg.cov_b)
+        self._latest[robot_index(end)] = end
 
     def _join(self, known: int, edge: Edge) -> None:
         """Robots come in by a relative pose between one of them and one of the state, then or now.
@@ -293,58 +306,6 @@ class Ekf:
         _, record = names(factor, keys)
         self.timeline.dropped[f"{record}: {reason}"] += 1
         self.timeline.used[record] -= 1
-
-
-class EkfEstimate(Estimate):
-    """A view of the filter's state, and of what is remembered of the poses that have left it.
-
-    `trajectory` is what the filter knew: each pose as it was when it left the state, or as it is now.
-    """
-
-    def __init__(self, owner: Ekf):
-        super().__init__(owner.timeline)
-        self._owner = owner
-
-    @property
-    def innovations(self) -> list[Innovation]:
-        """Of all measurements that were tested, those refused included."""
-        return self._owner.innovations
-
-    def value(self, key: int) -> Pose2:
-        return Pose2(*self._mean(key))
-
-    def point(self, key: int) -> np.ndarray:
-        return self._mean(key).copy()
-
-    def covariance(self, key: int) -> np.ndarray:
-        departed = self._owner._departed.get(key)
-        if departed is not None:
-            return in_own_axes(*departed)
-        self._require(key)
-        return self._owner._state.covariance(key)
-
-    def joint_covariance(self, keys: Sequence[int]) -> np.ndarray:
-        """As for all estimates; raises UnderDetermined when a pose has left the state: nobody remembers what it had in
-        common with others."""
-        for key in keys:
-            if key in self._owner._departed:
-                raise UnderDetermined(f"{self._name(key)} has left the filter's state: no joint covariance is kept")
-            self._require(key)
-        return self._owner._state.joint(keys)
-
-    def _mean(self, key: int) -> np.ndarray:
-        departed = self._owner._departed.get(key)
-        if departed is not None:
-            return departed.mean
-        self._require(key)
-        return self._owner._state.mean(key)
-
-    def _require(self, key: int) -> None:
-        if key not in self._owner._state:
-            raise UnderDetermined(f"{self._name(key)} has no estimate: the update failed")
-
-    def _name(self, key: int) -> str:
-        return describe(key, self.robots, self.timeline.landmarks)
 
 
 @cache

@@ -42,7 +42,7 @@ class EstimatorSettings:
 
 
 # A log that is replayed has no explorer that reads relative covariances of millimetres from each update.
-REPLAYED = IncrementalSettings(relinearize_threshold=0.03, wildfire_threshold=1e-3, rounds=0)
+REPLAYED = IncrementalSettings(0.03, wildfire_threshold=1e-3, relinearize_skip=10, rounds=0, factorization="CHOLESKY")
 
 
 def make(name: str, robots: Sequence[str], landmarks: Sequence[str], settings: EstimatorSettings) -> Estimator:

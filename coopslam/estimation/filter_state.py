@@ -1,10 +1,16 @@
 """What a filter knows: the mean and the covariance of robots' latest poses, map vertices and landmarks.
 
-Inside, all errors are differences in the axes of the frame, (x, y, heading) of a pose and (x, y) of a point. Turned by
-the heading they are the right perturbations of `se2`, `T_true * Pose2(error)`, exactly: the turn depends on the mean
-alone, so an update needs no reset of the axes, and steps and covariances are those of a filter on the perturbations.
-GTSAM moves by `T * Pose2.Expmap(error)`, which is the same to first order, all that a covariance tells. Covariances go
-in and out in the axes of the poses.
+Inside, errors are differences in the axes of the frame: (x, y, heading) of a pose, (x, y) of a point. Turned by the
+heading they are the right perturbations of `se2`, `T_true * Pose2(error)`; GTSAM moves by `T * Pose2.Expmap(error)`,
+the same to first order, all that a covariance tells. Covariances go in and out in the axes of the poses.
+
+A heading error turns what is around the origin as well, and nothing that robots measure of each other and of the map
+tells how all of it together is turned. A filter that linearizes each time where its mean has moved to comes to believe
+that it knows (Huang, Mourikis and Roumeliotis 2010, Observability-based rules for designing consistent EKF SLAM
+estimators). So wherever the mean moves, by odometry or by a correction, the part of an error that comes from the
+heading keeps its lever from the origin: the error is invariant (Barrau and Bonnabel 2015, An EKF-SLAM algorithm with
+consistency properties), and a turn of everything stays as uncertain as it was. The heading that goes with a point is
+that of the robot that placed it; a surveyed point has none.
 """
 
 from collections.abc import Sequence
@@ -14,6 +20,7 @@ import numpy as np
 from coopslam.se2 import Pose2, planar_rotation
 
 _ROOM = 64  # rows at first
+_LEVER_TOLERANCE_M = 1e-4  # levers follow the mean when it has moved so far: 1e-4 m times a heading error is nothing
 
 
 class FilterState:
@@ -24,6 +31,10 @@ class FilterState:
         self._places: dict[int, slice] = {}
         self._mean = np.zeros(_ROOM)
         self._cov = np.zeros((_ROOM, _ROOM))
+        self._moved = np.zeros(_ROOM)  # by corrections, since the levers last followed
+        self._heading = np.arange(_ROOM)  # row of the heading whose error moves this row; of a heading itself
+        self._other = np.arange(_ROOM)  # x -> row of y, y -> row of x
+        self._sign = np.zeros(_ROOM)  # of the lever: x -> -1, y -> 1; a heading has none
 
     def __contains__(self, key: int) -> bool:
         return key in self._places
@@ -100,12 +111,15 @@ class FilterState:
         arm = turn @ point
         carry = np.array([[1.0, 0.0, -arm[1]], [0.0, 1.0, arm[0]]])
         self._augment([key], [arm + (x, y)], carry, self._places[base], turn @ cov @ turn.T)
+        place = self._places[key]
+        self._heading[place] = self._places[base].start + 2
+        self._sign[place] = -1.0, 1.0
 
     def drive(self, key: int, key_now: int, T_start_now: Pose2, cov_now: np.ndarray) -> None:
         """A pose gives its place to the next one of its robot. cov_now: (3, 3) in the axes of the new pose.
 
-        In the axes of the poses the old errors go over with the adjoint of the way driven; here only the lever of the
-        way turns with the old heading.
+        In the axes of the poses the old errors go over with the adjoint of the way driven; in those of the frame the
+        heading error gets the way for a lever.
         """
         place = self._places.pop(key)
         self._places[key_now] = place
@@ -123,6 +137,19 @@ class FilterState:
         turn = planar_rotation(state[2])
         own = cov[place, place] + turn @ cov_now @ turn.T
         cov[place, place] = (own + own.T) / 2
+
+    def clone(self, key: int, key_clone: int, instead_of: int | None = None) -> None:
+        """A copy of a pose, fully correlated with it: one stays and the other drives on (Roumeliotis and Burdick 2002,
+        Stochastic cloning). instead_of: a pose that leaves the state and gives its place."""
+        source = self._places[key]
+        if instead_of is None:
+            place = self._make_room(key_clone, 3)
+        else:
+            place = self._places[key_clone] = self._places.pop(instead_of)
+        cov = self.cov
+        self._mean[place], self._moved[place] = self._mean[source], self._moved[source]
+        cov[place] = cov[source]
+        cov[:, place] = cov[:, source]
 
     def forget_correlations(self, key: int) -> None:
         """Leave nothing that a variable has in common with the others."""
@@ -148,18 +175,37 @@ class FilterState:
         The covariance is Joseph's (I - K H) P (I - K H)' + K R K', multiplied out and put as P - K V' - V K' with
         V = P H' - K S / 2. Like Joseph's it is indifferent to errors of the gain to first order, which P - K H P is
         not; it subtracts a matrix and its own transpose, so that rounding leaves it symmetric; and it takes one product
-        of (n, m) with (m, n) where Joseph's takes three. It stays positive for sigmas up to 10^7 apart, where doubles end.
+        of (n, m) with (m, n) where Joseph's takes three. Doubles keep it positive for sigmas up to about 10^7 apart.
         """
         gain = across @ S_inverse
-        self._mean[: self.size] += gain @ miss
+        step = gain @ miss
+        self._mean[: self.size] += step
+        self._moved[: self.size] += step
         change = gain @ (across - 0.5 * (gain @ S)).T
         cov = self.cov
         cov -= change + change.T
+        self._follow_levers()
 
     def fuse(self, place: slice, gain: np.ndarray, miss: np.ndarray, cov: np.ndarray) -> None:
         """One variable alone: its mean moves by gain @ miss, its covariance becomes cov, in the axes of the frame."""
         self._mean[place] += gain @ miss
         self._cov[place, place] = (cov + cov.T) / 2
+
+    def _follow_levers(self) -> None:
+        """Carry heading errors to where the mean has moved, as `drive` does."""
+        lever = self._sign[: self.size] * self._moved[self._other[: self.size]]
+        rows = np.flatnonzero(np.abs(lever) >= _LEVER_TOLERANCE_M)
+        if not len(rows):
+            return
+        cov, heading, lever = self.cov, self._heading[rows], lever[rows]
+        among = np.ix_(rows, rows)
+        change = lever[:, None] * cov[heading]
+        both = change[:, rows] + change[:, rows].T + np.outer(lever, lever) * cov[np.ix_(heading, heading)]
+        both += cov[among]
+        cov[rows] += change
+        cov[:, rows] += change.T
+        cov[among] = both
+        self._moved[self._other[rows]] = 0.0
 
     # ---- arrays ----
 
@@ -169,7 +215,8 @@ class FilterState:
         """New variables whose errors are carry @ (error of the base) + something of their own with covariance cov."""
         old = self.size
         for key, mean in zip(keys, means, strict=True):
-            self._mean[self._make_room(key, len(mean))] = mean
+            place = self._make_room(key, len(mean))  # first: it may bring new arrays
+            self._mean[place] = mean
         new = slice(old, self.size)
         across = carry @ self._cov[base, :old]
         own = across[:, base] @ carry.T + cov
@@ -179,13 +226,24 @@ class FilterState:
     def _make_room(self, key: int, dim: int) -> slice:
         place = slice(self.size, self.size + dim)
         if place.stop > len(self._mean):
-            mean, cov = self._mean, self._cov
-            self._mean, self._cov = np.zeros(2 * len(mean)), np.zeros((2 * len(mean),) * 2)
-            self._mean[: self.size] = mean[: self.size]
-            self._cov[: self.size, : self.size] = cov[: self.size, : self.size]
+            self._double()
         self._places[key] = place
-        self.size = place.stop
+        self.size, x = place.stop, place.start
+        self._other[x : x + 2] = x + 1, x
+        if dim == 3:
+            self._heading[place] = x + 2
+            self._sign[x : x + 2] = -1.0, 1.0
         return place
+
+    def _double(self) -> None:
+        room, cov = len(self._mean), self._cov
+        self._cov = np.zeros((2 * room, 2 * room))
+        self._cov[:room, :room] = cov
+        self._mean, self._moved, self._sign = (
+            np.append(a, np.zeros(room)) for a in (self._mean, self._moved, self._sign)
+        )
+        rows = np.arange(room, 2 * room)
+        self._heading, self._other = np.append(self._heading, rows), np.append(self._other, rows)
 
 
 def in_own_axes(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:

@@ -4,17 +4,18 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import inf
+from typing import Literal
 
 import gtsam
 import numpy as np
 
-from coopslam.errors import BadInput, UnderDetermined
+from coopslam.errors import BadInput, UnderDetermined, require_between
 from coopslam.estimation import deep_stack
 from coopslam.estimation.covariances import Covariances
 from coopslam.estimation.estimate import Estimate
 from coopslam.estimation.gate import Gate, GateSettings
 from coopslam.estimation.graph_check import in_words
-from coopslam.estimation.keys import describe
+from coopslam.estimation.keys import describe, value_of
 from coopslam.estimation.timeline import Timeline, TimelineSettings
 from coopslam.records import Record
 from coopslam.se2 import Pose2
@@ -26,14 +27,17 @@ class IncrementalSettings:
 
     relinearize_threshold: float = 3e-3  # m or rad: what 3 mrad bend a 10 m lever is 45 micrometres
     wildfire_threshold: float = 1e-5  # m or rad: smaller changes are not carried on
+    relinearize_skip: int = 1  # updates between two looks at what has moved
     rounds: int = 3  # at most so many extra steps in an update that moved variables beyond the threshold
+    # Cholesky is twice as fast, but takes a sigma 4 096 times another for an open direction; then QR goes on.
+    factorization: Literal["QR", "CHOLESKY"] = "QR"
 
     def __post_init__(self):
         for name in ("relinearize_threshold", "wildfire_threshold"):
             if not 0 < getattr(self, name) < inf:
                 raise BadInput(f"{name}: more than zero and finite expected, got {getattr(self, name)}")
-        if self.rounds < 0:
-            raise BadInput(f"rounds: zero or more expected, got {self.rounds}")
+        require_between(1, 1e6, relinearize_skip=self.relinearize_skip)
+        require_between(0, 1000, rounds=self.rounds)
 
 
 class Incremental:
@@ -51,7 +55,8 @@ class Incremental:
         self.settings = settings
         self.graph = gtsam.NonlinearFactorGraph()  # everything so far, for a batch solve
         self.timing = 0.0  # s spent in updates
-        self._isam = gtsam.ISAM2(_parameters(settings))
+        self._isam = gtsam.ISAM2(_parameters(settings, settings.factorization))
+        self._is_cholesky = settings.factorization == "CHOLESKY"
         self._gate = Gate(self.timeline, gate or GateSettings())
         self._estimate = IncrementalEstimate(self)
 
@@ -75,10 +80,23 @@ class Incremental:
     def _smooth(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         if graph.size() == 0:
             return
-        self._ask(self._isam.update, graph, values)
+        try:
+            self._ask(self._isam.update, graph, values)
+        except UnderDetermined:
+            if not self._is_cholesky:
+                raise
+            self._go_on_with_qr(values)
         for _ in range(self.settings.rounds):
             if self._ask(self._isam.update).getVariablesRelinearized() == 0:
                 break
+
+    def _go_on_with_qr(self, new: gtsam.Values) -> None:
+        """Everything so far once more, into a smoother that can tell a strong equation from an open direction."""
+        values = self._isam.getLinearizationPoint()
+        for key in filter(lambda key: not values.exists(key), new.keys()):
+            values.insert(key, value_of(new, key))
+        self._is_cholesky, self._isam = False, gtsam.ISAM2(_parameters(self.settings, "QR"))
+        self._ask(self._isam.update, self.graph, values)
 
     def _ask(self, function, *arguments):
         """Call iSAM2 with room to recurse; its complaint about an open direction names the variable."""
@@ -126,10 +144,10 @@ class IncrementalEstimate(Estimate):
         return np.array(covariances.marginals(keys))
 
 
-def _parameters(settings: IncrementalSettings) -> gtsam.ISAM2Params:
+def _parameters(settings: IncrementalSettings, factorization: str) -> gtsam.ISAM2Params:
     parameters = gtsam.ISAM2Params()
-    parameters.setFactorization("QR")  # Cholesky takes a sigma 4 096 times another for an open direction
-    parameters.relinearizeSkip = 1
+    parameters.setFactorization(factorization)
+    parameters.relinearizeSkip = settings.relinearize_skip
     parameters.setRelinearizeThreshold(settings.relinearize_threshold)
     parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(settings.wildfire_threshold))
     return parameters

@@ -34,7 +34,7 @@ class SmoothSettings:
 
     start_period_s: float = 10.0  # steps of the causal smoother that finds the start
     start: IncrementalSettings = field(
-        default_factory=lambda: IncrementalSettings(relinearize_threshold=0.03, wildfire_threshold=1e-3, rounds=1)
+        default_factory=lambda: IncrementalSettings(0.03, wildfire_threshold=1e-3, rounds=1, factorization="CHOLESKY")
     )
     gate: GateSettings = field(default_factory=GateSettings)
     robust: RobustSettings = field(default_factory=RobustSettings)

@@ -58,6 +58,12 @@ class PoseVariables:
         stood = track.since_s[number] - STAMP_TOLERANCE_S <= stamp_s <= track.until_s[number] + STAMP_TOLERANCE_S
         return track.keys[number] if stood else None
 
+    def first(self, robot: str, stamp_s: float) -> int:
+        """The robot's first variable; one that has nothing yet has stood at its start until this instant."""
+        if not self._tracks[robot].keys:
+            self._begin(self._tracks[robot], stamp_s)
+        return self._tracks[robot].keys[0]
+
     def _begin(self, track: Track, stamp_s: float) -> None:
         """The first variable of a robot: the origin of its own frame."""
         key = self._new_key(track, stamp_s, Pose2())

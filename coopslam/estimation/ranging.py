@@ -64,7 +64,8 @@ def align_by_ranges(
     if np.linalg.eigvalsh(information)[0] <= (settings.heading_sigma_max_rad * settings.caution * 1e4) ** -2:
         return None
     turn = planar_rotation(-best.x[2])
-    cov = turn @ np.linalg.inv(information) @ turn.T * settings.caution**2
+    drift = settings.drift_sigma_m**2 * np.diag([1.0, 1.0, 1.0 / max(float(np.mean(arms**2)) * 2, 1e-12)])  # of all
+    cov = (turn @ np.linalg.inv(information) @ turn.T + drift) * settings.caution**2
     if np.sqrt(cov[2, 2]) > settings.heading_sigma_max_rad * settings.caution:
         return None
     T_a_b = Pose2(*best.x) * Pose2(*-middle_b, 0.0)
@@ -88,7 +89,7 @@ def locate(points: np.ndarray, ranges_m: np.ndarray, sigmas_m: np.ndarray) -> np
     if _is_open(found, lambda x: np.hypot(*(x - best.x)) > limit) or np.median(np.abs(residuals(best.x))) >= 3.0:
         return None
     information = jacobian(best.x).T @ jacobian(best.x)
-    return best.x if np.linalg.eigvalsh(information)[0] > (0.2 * np.median(ranges_m)) ** -2 else None
+    return best.x if np.linalg.eigvalsh(information)[0] * (0.2 * np.median(ranges_m)) ** 2 > 1.0 else None
 
 
 def intersect(

@@ -144,13 +144,10 @@ class Timeline:
         key = self._key_at(record.robot, record.stamp_s, record)
         if key is None:
             return False
-        first = self.tracks[self.robots[0]].keys
-        if not first:
-            return self._drop(record, f"before anything of {self.robots[0]}, whose start is the origin")
         if not self.is_placed(record.robot):
-            self._assembly.tie(
-                self.robots[0], record.robot, Edge(first[0], key, record.T_start_robot, record.cov_robot)
-            )
+            origin = self._poses.first(self.robots[0], record.stamp_s)
+            edge = Edge(origin, key, record.T_start_robot, record.cov_robot)
+            self._assembly.tie(self.robots[0], record.robot, edge)
         self._assembly.add(factors.pose_prior(key, record), (record.robot,))
         return True
 

@@ -21,22 +21,23 @@ is counted as a new opinion at every fix, so this filter believes to know far mo
 2002; Julier and Uhlmann 1997). It is the baseline that a joint filter is compared with.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import gtsam
 import numpy as np
 
 from coopslam.estimation.ekf import Ekf
-from coopslam.estimation.filter_models import Linearized, noise_covariance
+from coopslam.estimation.filter_models import Linearized, Sighting, noise_covariance
 from coopslam.estimation.keys import robot_index
+from coopslam.estimation.tracks import Edge
 
 
 class _Encounter(NamedTuple):
-    """The last measurement between two: their variables then, and whose were corrected (positions 0 and 1)."""
+    """The last measurement between two: their variables then, and which were corrected."""
 
-    keys: tuple[int, ...]
-    corrected: tuple[int, ...]
+    keys: frozenset[int]
+    corrected: frozenset[int]
 
 
 class Weighted(Ekf):
@@ -45,7 +46,7 @@ class Weighted(Ekf):
     def __init__(self, *arguments, **settings):
         """As `Ekf`."""
         super().__init__(*arguments, **settings)
-        self._encounters: dict[tuple[int, ...], _Encounter] = {}
+        self._encounters: dict[frozenset[int], _Encounter] = {}
 
     def _placed(self, keys: Sequence[int]) -> None:
         for key in keys:
@@ -71,18 +72,28 @@ class Weighted(Ekf):
     def _corrected(self, keys: Sequence[int]) -> tuple[int, ...]:
         """Positions among the keys: robots that have driven since the two last met, and whatever is no robot.
 
-        Robots that both stand since are in the roles that they had; both have driven when two meet for the first time.
+        Robots that both stand since are in the roles that they had.
         """
-        order = sorted(range(len(keys)), key=lambda i: _who(keys[i]))
-        pair, sorted_keys = tuple(_who(keys[i]) for i in order), tuple(keys[i] for i in order)
-        last = self._encounters.get(pair)
-        moved = tuple(k for k, key in enumerate(sorted_keys) if last is None or key != last.keys[k])
-        if not moved:
+        last = self._encounters.get(frozenset(map(_who, keys)))
+        moved = [key for key in keys if last is None or key not in last.keys]
+        if last is not None and not moved:
             corrected = last.corrected
         else:
-            corrected = tuple(k for k, key in enumerate(sorted_keys) if k in moved or robot_index(key) is None)
-        self._encounters[pair] = _Encounter(sorted_keys, corrected)
-        return tuple(order[k] for k in corrected)
+            corrected = frozenset(key for key in keys if key in moved or robot_index(key) is None)
+        self._meet(keys, corrected)
+        return tuple(i for i, key in enumerate(keys) if key in corrected)
+
+    def _meet(self, keys: Sequence[int], corrected: Iterable[int]) -> None:
+        self._encounters[frozenset(map(_who, keys))] = _Encounter(frozenset(keys), frozenset(corrected))
+
+    def _place(self, key: int, observer: int, seen: Sighting) -> None:
+        super()._place(key, observer, seen)
+        self._meet((observer, key), [key])
+
+    def _join(self, known: int, edge: Edge) -> None:
+        super()._join(known, edge)
+        ends = {edge.key_a, edge.key_b}
+        self._meet(tuple(ends), ends - {known})
 
 
 def _who(key: int) -> int:

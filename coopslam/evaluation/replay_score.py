@@ -26,6 +26,7 @@ class ReplayScore:
     causal: dict[str, Trajectory]
     errors: TeamErrors | None
     causal_errors: TeamErrors | None
+    anchored: TeamErrors | None = None  # in the frame of the first robot's true start: what sigmas speak of
     nees: dict[str, np.ndarray] = field(default_factory=dict)
 
 
@@ -56,7 +57,7 @@ def score_replay(
         **_landmarks(estimate, final, robots, landmarks or {}),
         **scores,
     }
-    return ReplayScore(scores, final, causal, errors, causal_errors, nees)
+    return ReplayScore(scores, final, causal, errors, causal_errors, _anchored(final, robots, estimate.robots[0]), nees)
 
 
 def _accuracy(errors: TeamErrors, causal: TeamErrors | None) -> dict:
@@ -108,6 +109,14 @@ def _nees(final: Mapping[str, Trajectory], robots: Mapping[str, Track], first: s
         return trajectory_nees(known, robots, first) if first in known else {}
     except (CoopSlamError, np.linalg.LinAlgError):
         return {}
+
+
+def _anchored(final: Mapping[str, Trajectory], robots: Mapping[str, Track], first: str) -> TeamErrors | None:
+    """None when the truth does not cover the first robot's start."""
+    try:
+        return team_errors(final, robots, T_truth_estimate=start_of(final[first], robots[first]))
+    except (KeyError, CoopSlamError):
+        return None
 
 
 def _honesty(nees: Mapping[str, np.ndarray]) -> dict:

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from coopslam.errors import BadInput
-from coopslam.se2 import Pose2, position, rotation, wrap
+from coopslam.se2 import Pose2, fit_pose, position, rotation, wrap
 
 STAMP_TOLERANCE_S = 1e-6  # a stamp so little outside the truth's time is taken as its end
 
@@ -99,11 +99,7 @@ def align_se2(estimated: np.ndarray, truth: np.ndarray) -> Pose2:
     estimated, truth = np.asarray(estimated, float), np.asarray(truth, float)
     if estimated.shape != truth.shape or estimated.ndim != 2 or estimated.shape[1:] != (2,) or not len(truth):
         raise BadInput(f"cannot align points of shape {estimated.shape} with {truth.shape}; (N, 2) each expected")
-    centre_estimated, centre_truth = estimated.mean(axis=0), truth.mean(axis=0)
-    a, b = estimated - centre_estimated, truth - centre_truth
-    angle = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
-    shift = centre_truth - rotation(angle) @ centre_estimated
-    return Pose2(shift[0], shift[1], angle)
+    return fit_pose(estimated, truth)
 
 
 def interpolate_se2(stamps_s: np.ndarray, poses: Sequence[Pose2], at_s: np.ndarray) -> list[Pose2]:
@@ -137,10 +133,16 @@ def trajectory_error(estimated: Mapping[str, Track], truth: Mapping[str, Track])
     )
 
 
-def team_errors(estimated: Mapping[str, Track], truth: Mapping[str, Track], gap_max_s: float = inf) -> TeamErrors:
+def team_errors(
+    estimated: Mapping[str, Track],
+    truth: Mapping[str, Track],
+    gap_max_s: float = inf,
+    T_truth_estimate: Pose2 | None = None,
+) -> TeamErrors:
     """Each robot's errors over time, after one alignment over all robots' trajectories joined.
 
     Robots without truth take no part, and are named.  gap_max_s: as in `is_covered`.
+    T_truth_estimate: instead of the alignment; the first robot's true start gives errors to compare with covariances.
     Raises BadInput when no pose has a truth.
     """
     matches = {robot: matched(estimated[robot], truth[robot], gap_max_s) for robot in estimated if robot in truth}
@@ -148,8 +150,9 @@ def team_errors(estimated: Mapping[str, Track], truth: Mapping[str, Track], gap_
     matches = {robot: match for robot, match in matches.items() if len(match[0])}
     if not matches:
         raise BadInput("the truth covers none of the estimated poses")
-    e, t = (np.concatenate([match[i] for match in matches.values()]) for i in (1, 2))
-    T_truth_estimate = align_se2(e[:, :2], t[:, :2])
+    if T_truth_estimate is None:
+        e, t = (np.concatenate([match[i] for match in matches.values()]) for i in (1, 2))
+        T_truth_estimate = align_se2(e[:, :2], t[:, :2])
     robots = {robot: _errors(T_truth_estimate, *match) for robot, match in matches.items()}
     return TeamErrors(robots, T_truth_estimate, left_out, tuple(robot for robot in estimated if robot not in robots))
 

@@ -9,47 +9,14 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from coopslam.errors import require_between
+from coopslam.odometry_noise import CommandNoise, Walk, turned
 from coopslam.records import Odometry
 from coopslam.se2 import Pose2
 
+__all__ = ["CommandNoise", "Walk", "odometry_of_commands"]
+
 _INSTANT_S = 1e-6  # no step is shorter by choice
 _LONGEST_UNKNOWN_S = 1e4  # beyond, not knowing where a robot went cannot get worse
-
-
-@dataclass(frozen=True, slots=True)
-class Walk:
-    """Random walk of one coordinate; m or rad. The variances of what was driven, turned and waited for add up."""
-
-    after_1_m: float
-    after_1_rad: float
-    after_1_s: float  # in motion
-
-    def __post_init__(self):
-        require_between(0.0, 1e3, **{entry.name: getattr(self, entry.name) for entry in fields(self)})
-
-    def variance(self, distance_m, turned_rad, moving_s):
-        """m^2 or rad^2 after what was done, all zero or more; arrays."""
-        return self.after_1_m**2 * distance_m + self.after_1_rad**2 * turned_rad + self.after_1_s**2 * moving_s
-
-
-@dataclass(frozen=True, slots=True)
-class CommandNoise:
-    """What a robot that was told to drive does otherwise. A robot with zero commands stands exactly.
-
-    The values are those of the robots of MR.CLAM as they come, not calibrated: what dead reckoning over 1 to 50 s
-    misses of the solved trajectory of data set 6.
-    """
-
-    forward: Walk = Walk(0.03, 0.055, 0.001)  # m
-    sideways: Walk = Walk(0.005, 0.005, 0.0007)  # m
-    heading: Walk = Walk(0.09, 0.09, 0.001)  # rad
-    unknown_sigma_m: float = 0.5  # of each axis, after 1 s in which nobody knows what the robot did
-    unknown_heading_sigma_rad: float = 0.5  # after 1 s of the same
-
-    def __post_init__(self):
-        unknown = ("unknown_sigma_m", "unknown_heading_sigma_rad")
-        require_between(0.0, 1e3, **{name: getattr(self, name) for name in unknown})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,10 +132,10 @@ def _compose(spans: _Spans, first: np.ndarray, noise: CommandNoise):
     dx, dy = chord * np.cos(before + turn / 2), chord * np.sin(before + turn / 2)
     x, y, heading = (np.add.reduceat(part, first) for part in (dx, dy, turn))
 
-    along, across, along_heading, var_heading = _noise_of_spans(spans, duration, length, turn, noise)
+    along, across, across_heading, var_heading = _noise_of_spans(spans, duration, length, turn, noise)
     c, s = np.cos(before + turn / 2), np.sin(before + turn / 2)
     xx, xy, yy = c * c * along + s * s * across, c * s * (along - across), s * s * along + c * c * across
-    xt, yt = -s * along_heading, c * along_heading
+    xt, yt = -s * across_heading, c * across_heading
     reached_x, reached_y = np.cumsum(dx), np.cumsum(dy)
     lever_x = (reached_x[first] - dx[first] + x)[step] - reached_x
     lever_y = (reached_y[first] - dy[first] + y)[step] - reached_y
@@ -180,33 +147,12 @@ def _compose(spans: _Spans, first: np.ndarray, noise: CommandNoise):
         yt + lever_x * var_heading,
         var_heading,
     )
-    return x, y, heading, _in_axes_of_the_end(heading, *(np.add.reduceat(term, first) for term in terms))
+    return x, y, heading, turned(heading, *(np.add.reduceat(term, first) for term in terms))
 
 
 def _noise_of_spans(spans: _Spans, duration, length, turn, noise: CommandNoise):
-    """Variances along and across, covariance of across and heading, variance of heading; axes of the span's chord.
-
-    The heading drifts along the way, so with its variance q at the end of length d: var(across) = q d^2 / 3 and
-    cov(across, heading) = q d / 2.
-    """
-    driven = np.abs(length), np.abs(turn), spans.moving * duration
+    """As `CommandNoise.of_chords`; nobody knows where unknown motion leads, so it adds in all directions."""
+    along, across, across_heading, heading = noise.of_chords(length, turn, spans.moving * duration)
     lost = spans.unknown * np.minimum(duration, _LONGEST_UNKNOWN_S)
-    along, across = noise.forward.variance(*driven), noise.sideways.variance(*driven)
-    heading = noise.heading.variance(*driven)
-    across += heading * length**2 / 3
-    along_heading = heading * length / 2
     anywhere = noise.unknown_sigma_m**2 * lost
-    return along + anywhere, across + anywhere, along_heading, heading + noise.unknown_heading_sigma_rad**2 * lost
-
-
-def _in_axes_of_the_end(heading, xx, xy, yy, xt, yt, tt) -> np.ndarray:
-    """(N, 3, 3) covariances from the axes of the start, given by their components, to those of the end."""
-    c, s = np.cos(heading), np.sin(heading)
-    cov = np.empty((len(heading), 3, 3))
-    cov[:, 0, 0] = c * c * xx + 2 * c * s * xy + s * s * yy
-    cov[:, 0, 1] = cov[:, 1, 0] = c * s * (yy - xx) + (c * c - s * s) * xy
-    cov[:, 1, 1] = s * s * xx - 2 * c * s * xy + c * c * yy
-    cov[:, 0, 2] = cov[:, 2, 0] = c * xt + s * yt
-    cov[:, 1, 2] = cov[:, 2, 1] = c * yt - s * xt
-    cov[:, 2, 2] = tt
-    return cov
+    return along + anywhere, across + anywhere, across_heading, heading + noise.unknown_heading_sigma_rad**2 * lost

@@ -128,7 +128,7 @@ def _path_handles(view: ComparisonView, shown: Sequence[EstimatorView]) -> list:
         handles.append(Patch(facecolor=GREEN + "30", edgecolor=GREEN, label="its 3-sigma ellipse"))
     if view.true_landmarks:
         handles.append(Line2D([], [], color=INK, marker="o", mfc="none", ls="", label="true landmark"))
-        handles.append(Line2D([], [], color=INK, lw=0.9, label="offset to it, as enlarged"))
+        handles.append(Line2D([], [], color=INK, lw=0.9, label="offset to it, same factor"))
     return handles
 
 
@@ -143,7 +143,9 @@ def draw_errors(view: ComparisonView) -> Figure | None:
     if not shown:
         return None
     figure = Figure(figsize=(canvas.WIDTH_IN, (ROW_IN + 0.25) * len(shown) + 1.4), layout="constrained")
-    figure.suptitle(f"{plain(view.log)}: errors over time, beside 3σ", fontsize=canvas.TITLE_PT + 1)
+    anchored = all(r.is_anchored for e in shown for r in e.robots.values() if len(r.error_stamps_s))
+    frame = "relative to the first robot's start" if anchored else "after alignment"
+    figure.suptitle(f"{plain(view.log)}: errors {frame}, beside 3σ", fontsize=canvas.TITLE_PT + 1)
     grid = figure.subplots(len(shown), 2, squeeze=False, sharex=True)
     colours = robot_colours(view)
     for row, estimator in zip(grid, shown, strict=True):

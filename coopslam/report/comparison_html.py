@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from coopslam.report.comparison_figures import best_estimator
-from coopslam.report.comparison_panels import number
+from coopslam.report.comparison_panels import nis_text, number
 from coopslam.report.comparison_view import ComparisonView, EstimatorView
 from coopslam.report.html import _table as table
 from coopslam.report.html_text import HOW_TO_READ, STYLE
@@ -32,15 +32,18 @@ COLUMNS = (  # heading, key in the scores, factor to the unit of the heading; on
 CAPTIONS = {
     "trajectories": (
         "Where the robots went",
-        "The closer a coloured path lies to the wide grey line, the true path, the better; all panels have one scale, "
-        "estimates that leave it are cut off, and landmark ellipses and the lines to the true landmarks are enlarged "
-        "by the factor in the panel's title, so that nearly all lines of an honest estimate end inside of theirs.",
+        "The closer a coloured path lies to the wide grey line, the true path, the better; all panels have one scale "
+        "and estimates that leave it are cut off, while landmark ellipses and the lines to the true landmarks are "
+        "enlarged by the factor in the panel's title, and the ellipses are relative to the first robot's start, so "
+        "larger than what is left after the alignment.",
     ),
     "errors": (
         "Errors beside what was claimed",
         "Curves should stay inside the grey band, three of the estimator's own standard deviations (of a position "
-        "along its worst direction), and not all at its bottom or middle; ticks on top mark where a robot is beyond "
-        "its own band, and an axis that ends below the largest error in the title cuts it off.",
+        "along its worst direction, relative to the first robot's start), ticks on top mark where a robot is beyond "
+        "its own band, and an axis that ends below the largest error in its title cuts it off; where the figure says "
+        "after alignment, the alignment has taken error away that the band still owns up to, so that staying inside "
+        "does not prove honesty, which NEES judges.",
     ),
     "bars": (
         "Errors of all robots together",
@@ -238,7 +241,7 @@ def _nis(estimators: Sequence[EstimatorView]) -> str:
         rows.append([kind.replace("_", " ")])
         for estimator in judged:
             one = estimator.scores["nis"].get(kind)
-            rows[-1].append(f"{digits(one['mean_per_dof'])} ({count(one['count'])})" if one else DASH)
+            rows[-1].append(nis_text(one) if one else DASH)
     return "<h2>NIS per degree of freedom (count)</h2>\n" + table(["", *(e.name for e in judged)], rows)
 
 

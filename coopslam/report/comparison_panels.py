@@ -57,8 +57,8 @@ class ErrorKind:
     signed: bool
 
 
-POSITION = ErrorKind("position", lambda r: r.position_errors_m, lambda r: r.error_sigmas_m, signed=False)
-HEADING = ErrorKind("heading", lambda r: r.heading_errors_rad, lambda r: r.heading_sigmas_rad, signed=True)
+POSITION = ErrorKind("position", lambda r: r.shown_position_errors_m, lambda r: r.error_sigmas_m, signed=False)
+HEADING = ErrorKind("heading", lambda r: r.shown_heading_errors_rad, lambda r: r.heading_sigmas_rad, signed=True)
 
 
 def number(scores: Mapping, key: str) -> float | None:
@@ -176,8 +176,10 @@ def draw_errors(axes: Axes, robots: Mapping[str, RobotErrors], colours: Mapping[
     for name, robot in judged.items():
         shown = thinned(kind.errors(robot), max(POINTS_AT_MOST // len(judged), 300))
         style = {"marker": "."} if len(shown) == 1 else {"linewidth": 0.8}
-        curve = factor * kind.errors(robot)[shown]
-        axes.plot(robot.error_stamps_s[shown], curve, color=colours[name], alpha=0.9, zorder=2, **style)
+        curve, stamps_s = kind.errors(robot)[shown], robot.error_stamps_s[shown]
+        turns = np.flatnonzero(np.abs(np.diff(curve)) > np.pi) + 1 if kind.signed else []  # from 180° to -180°: no line
+        curve, stamps_s = factor * np.insert(curve, turns, np.nan), np.insert(stamps_s, turns, np.nan)
+        axes.plot(stamps_s, curve, color=colours[name], alpha=0.9, zorder=2, **style)
     top = factor * _top(errors, high)
     marks = _mark_beyond(axes, judged, colours, kind)
     axes.set_ylim(-top if kind.signed else 0.0, top + marks * (2 if kind.signed else 1) * top)
@@ -268,6 +270,12 @@ def nis_limits(tables: Sequence[Mapping[str, Mapping]]) -> tuple[float, float]:
     return low, high * (high / low) ** 0.6
 
 
+def nis_text(one: Mapping) -> str:
+    """Mean and count; means below 1e-9 count as arithmetic."""
+    mean = one["mean_per_dof"]
+    return f"{digits(mean if mean > 1e-9 else 0)} ({count(one['count'])})"
+
+
 def draw_nis(axes: Axes, nis: Mapping[str, Mapping], limits: tuple[float, float]) -> None:
     """Mean squared normalized residual of each kind per degree of freedom, as bars from 1, with counts."""
     kinds = sorted(nis, key=lambda kind: -nis[kind]["count"])
@@ -281,7 +289,7 @@ def draw_nis(axes: Axes, nis: Mapping[str, Mapping], limits: tuple[float, float]
         if mean >= NIS_SHOWN_FROM:
             axes.barh(height, mean - 1, left=1, height=0.5, color=colour, zorder=2)
             axes.plot(mean, height, "o", color=colour, markersize=4, zorder=4)
-        words = f"{digits(mean)} ({count(nis[kind]['count'])})"
+        words = nis_text(nis[kind])
         beside = {"xytext": (6, 0), "textcoords": "offset points", "va": "center", "fontsize": SMALL_PT, "color": INK}
         axes.annotate(words, (max(mean, 1.0), height), **beside)
     axes.set_ylim(-0.6, len(kinds) - 0.4)

@@ -18,11 +18,29 @@ class RobotErrors:
     path: np.ndarray  # (N, 2) m, in the frame of the truth where there is one
     position_sigmas_m: np.ndarray  # (N,) along the worst direction; empty when the estimator has no covariances
     error_stamps_s: np.ndarray  # (M,) where the truth covers the estimate
-    position_errors_m: np.ndarray  # (M,)
-    heading_errors_rad: np.ndarray  # (M,) signed
-    error_sigmas_m: np.ndarray  # (M,) as position_sigmas_m
+    position_errors_m: np.ndarray  # (M,) after the alignment with the truth, as ATE
+    heading_errors_rad: np.ndarray  # (M,) signed; after the alignment
+    error_sigmas_m: np.ndarray  # (M,) as position_sigmas_m; relative to the first robot's start, as all covariances
     heading_sigmas_rad: np.ndarray  # (M,)
     nees: np.ndarray  # (M,) 3 degrees of freedom; in the frame of the first robot's start; NaN of the anchored pose
+    # what may be compared with sigmas: without alignment, in the frame of the first robot's true start, as NEES
+    anchored_position_errors_m: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (M,), or empty: not known
+    anchored_heading_errors_rad: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (M,), or empty; signed
+
+    @property
+    def is_anchored(self) -> bool:
+        """Whether there are errors that may be compared with sigmas."""
+        return len(self.anchored_position_errors_m) > 0
+
+    @property
+    def shown_position_errors_m(self) -> np.ndarray:
+        """(M,) the anchored ones where they are known."""
+        return self.anchored_position_errors_m if self.is_anchored else self.position_errors_m
+
+    @property
+    def shown_heading_errors_rad(self) -> np.ndarray:
+        """(M,) the anchored ones where they are known."""
+        return self.anchored_heading_errors_rad if self.is_anchored else self.heading_errors_rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
