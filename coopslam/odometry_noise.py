@@ -37,7 +37,7 @@ class CommandNoise:
 
     forward: Walk = Walk(0.03, 0.055, 0.001)  # m
     sideways: Walk = Walk(0.005, 0.005, 0.0007)  # m
-    heading: Walk = Walk(0.09, 0.09, 0.001)  # rad
+    heading: Walk = Walk(0.13, 0.115, 0.001)  # rad; over 50 s, where drift to one side shows
     unknown_sigma_m: float = 0.5  # of each axis, after 1 s in which nobody knows what the robot did
     unknown_heading_sigma_rad: float = 0.5  # after 1 s of the same
 

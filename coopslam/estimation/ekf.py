@@ -228,7 +228,9 @@ class Ekf:
         found by odometry back from the latest; the first pose of all is the frame itself.
         """
         key, T, cov = seen_from(known, edge)
-        base = None if known == _ORIGIN else self._latest[robot_index(known)]
+        base = known
+        if known not in self._state:
+            base = None if known == _ORIGIN else self._latest[robot_index(known)]
         if base is not None and base != known:
             T_base_known, cov_known = self._tree.way_back(known, base)
             T, cov = T_base_known * T, chain_covariance(T, cov_known, cov)
