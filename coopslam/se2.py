@@ -6,8 +6,6 @@ says otherwise. Composition to first order is the compounding of Smith, Self and
 """
 
 from dataclasses import dataclass
-from math import isfinite, sqrt
-from operator import mul
 
 import numpy as np
 from gtsam import Pose2

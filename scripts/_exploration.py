@@ -19,10 +19,13 @@ from coopslam import __version__
 from coopslam.errors import BadInput, CoopSlamError, UnderDetermined, shown
 from coopslam.estimation.batch import Batch, BatchEstimate, chi_square
 from coopslam.estimation.dead_reckoning import DeadReckoning
-from coopslam.estimation.estimate import Estimate, Trajectory
+from coopslam.estimation.ekf import Ekf, EkfSettings
+from coopslam.estimation.estimate import Estimate, Estimator, Trajectory
+from coopslam.estimation.fixed_lag import FixedLag, FixedLagSettings
 from coopslam.estimation.gate import GateSettings
 from coopslam.estimation.incremental import Incremental, IncrementalSettings
 from coopslam.estimation.robust import RobustSettings, RobustSolution, solve_robust
+from coopslam.estimation.weighted import Weighted
 from coopslam.evaluation.exploration_score import ExplorationTruth
 from coopslam.exploration.explorer import Explorer, ExplorerSettings
 from coopslam.exploration.mission import Budget, Mission, Progress, run_mission
@@ -40,7 +43,14 @@ from sim.sensors import Sensors
 from sim.team import Team, TeamSettings, Truth
 from sim.world import World, load_world, world_names
 
-DRIVERS = {"incremental": Incremental, "batch": Batch}
+DRIVERS = {
+    "incremental": Incremental,
+    "fixed-lag": FixedLag,
+    "ekf": Ekf,
+    "weighted": Weighted,
+    "dead-reckoning": DeadReckoning,
+    "batch": Batch,
+}
 WORST_CHI_SQUARE = 25.0  # per degree of freedom; 1 expected. Beyond, the estimate contradicts the records
 ENOUGH_DOF = 50  # for that to be no chance
 LARGEST_SEED = 2**63 - 1  # that TOML promises to carry
@@ -55,7 +65,7 @@ class ExplorationSettings:
     world: str = "paper_one_obstacle"
     seed: int = 0
     noise: Literal["none", "typical", "legged"] = "typical"
-    estimator: Literal["incremental", "batch"] = "incremental"
+    estimator: Literal["incremental", "fixed-lag", "ekf", "weighted", "dead-reckoning", "batch"] = "incremental"
     figures: Literal["none", "static", "all"] = "static"
     true_noise: Noise | None = None  # instead of the preset's
     believed_noise: Noise | None = None
@@ -64,6 +74,8 @@ class ExplorationSettings:
     team: TeamSettings = field(default_factory=TeamSettings)
     explorer: ExplorerSettings = field(default_factory=ExplorerSettings)
     incremental: IncrementalSettings = field(default_factory=IncrementalSettings)
+    fixed_lag: FixedLagSettings = field(default_factory=FixedLagSettings)
+    ekf: EkfSettings = field(default_factory=EkfSettings)  # also of weighted
     gate: GateSettings = field(default_factory=GateSettings)  # for false sightings, while the robots drive
     robust: RobustSettings = field(default_factory=RobustSettings)  # for false sightings, in the final smoothing
     budget: Budget = field(default_factory=Budget)
@@ -97,7 +109,7 @@ class Prepared:
     settings: ExplorationSettings  # resolved
     world: World
     team: Team
-    driver: Incremental | Batch
+    driver: Estimator
     explorer: Explorer
 
 
@@ -120,7 +132,7 @@ class Exploration:
     settings: ExplorationSettings
     world: World
     mission: Mission
-    driver: Incremental | Batch
+    driver: Estimator
     truth: ExplorationTruth
     began_s: float  # on time.perf_counter
     records: list[Record] = field(default_factory=list)  # everything that is in the log
@@ -160,11 +172,18 @@ def prepare(settings: ExplorationSettings) -> Prepared:
     sensors = Sensors(settings.true_noise, settings.believed_noise, rng, settings.bias, settings.false_sightings)
     team = Team(world, sensors, settings.team)
     robots = settings.team.robots
-    if settings.estimator == "incremental":
-        driver = Incremental(robots, settings=settings.incremental, gate=settings.gate)
-    else:
-        driver = Batch(robots, gate=settings.gate)
-    return Prepared(settings, world, team, driver, Explorer(robots, settings.explorer))
+    return Prepared(settings, world, team, _driver(settings), Explorer(robots, settings.explorer))
+
+
+def _driver(settings: ExplorationSettings) -> Estimator:
+    """The estimator that the team steers by."""
+    own = {
+        "incremental": {"settings": settings.incremental},
+        "fixed-lag": {"settings": settings.fixed_lag},
+        "ekf": {"settings": settings.ekf},
+        "weighted": {"settings": settings.ekf},
+    }.get(settings.estimator, {})
+    return DRIVERS[settings.estimator](settings.team.robots, gate=settings.gate, **own)
 
 
 def _require_start(team: TeamSettings, world: World) -> None:
@@ -248,7 +267,7 @@ def _smooth(run: Exploration, records: list[Record]) -> None:
         mission.outcome, mission.reason = "stuck", doubt
 
 
-def _solution(driver: Incremental | Batch, robots: tuple[str, ...], settings: RobustSettings) -> RobustSolution:
+def _solution(driver: Estimator, robots: tuple[str, ...], settings: RobustSettings) -> RobustSolution:
     """Everything smoothed at once. Without a limit there is no deciding again: what the gate refused stays out."""
     refused = driver.timeline.refused
     if isinf(settings.distance_sq_max):

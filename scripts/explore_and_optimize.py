@@ -91,7 +91,7 @@ def _parser() -> OneLineParser:
         "or legged (odometry nearly absent)",
     )
     parser.add_argument(
-        "--estimator", metavar="E", choices=[*DRIVERS], help="that steers: incremental (default) or batch"
+        "--estimator", metavar="E", choices=[*DRIVERS], help=f"that steers: {', '.join(DRIVERS)}; default: incremental"
     )
     parser.add_argument(
         "--out", metavar="DIR", type=_path, help="run directory; default: a new one, runs/WORLD-NOISE-SEED"

@@ -1,11 +1,9 @@
 import numpy as np
-import pytest
 from leapfrog import ROBOTS, difference, leapfrog
 
-from coopslam.errors import BadInput
 from coopslam.estimation.batch import Batch
 from coopslam.estimation.dead_reckoning import DeadReckoning
-from coopslam.records import CornerSighting, Odometry, RelativePoseFix
+from coopslam.records import CornerDecision, CornerSighting, Odometry, RelativePoseFix
 from coopslam.se2 import Pose2
 
 
@@ -50,13 +48,20 @@ def test_it_is_the_batch_of_odometry_and_the_first_fix(late):
     np.testing.assert_allclose(estimate.joint_covariance(keys), batch.joint_covariance(keys), rtol=1e-4, atol=1e-9)
 
 
-def test_it_has_the_instants_of_the_batch_and_no_vertices():
+def test_it_has_the_instants_of_the_batch_and_vertices_as_first_seen():
     world = leapfrog(np.random.default_rng(10), legs=6)
     estimate, batch = DeadReckoning(ROBOTS).update(world.records), Batch(ROBOTS).update(world.records)
     for robot in ROBOTS:
         ours = estimate.trajectory(robot)
         np.testing.assert_array_equal(ours.stamps_s, batch.trajectory(robot).stamps_s)
         assert len(estimate.causal_trajectory(robot).poses) == len(ours.poses)
-    assert estimate.vertices == []
-    with pytest.raises(BadInput, match="no map vertices"):
-        estimate.vertex(0)
+    first = next(record for record in world.records if isinstance(record, CornerDecision))
+    seen = first.sighting
+    expected = estimate.value(estimate.pose_key_at(seen.observer, seen.stamp_s)) * seen.T_observer_corner
+    assert estimate.vertex(first.vertex).equals(expected, 1e-12)
+    again = DeadReckoning(ROBOTS)
+    for group in world.groups:
+        last = again.update(group)
+    assert last.vertices == estimate.vertices == batch.vertices
+    for vertex in last.vertices:
+        assert last.vertex(vertex).equals(estimate.vertex(vertex), 1e-9)

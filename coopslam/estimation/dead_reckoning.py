@@ -2,7 +2,7 @@
 
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import gtsam
 import numpy as np
@@ -11,21 +11,28 @@ from coopslam.errors import BadInput
 from coopslam.estimation.estimate import Estimate
 from coopslam.estimation.factors import GAUGE_SIGMA
 from coopslam.estimation.gate import Gate, GateSettings
-from coopslam.estimation.keys import is_landmark, pose_key
+from coopslam.estimation.keys import is_landmark, pose_key, vertex_key
 from coopslam.estimation.timeline import Timeline, TimelineSettings
 from coopslam.estimation.tracks import Edge
-from coopslam.records import Record
-from coopslam.se2 import Pose2, adjoint, chain_covariance
+from coopslam.records import CornerDecision, Record
+from coopslam.se2 import Pose2, adjoint, chain_covariance, observer_to_target_axes
 
 
 class DeadReckoning:
     """Composes odometry. It has a pose at the same instants as the estimators that use every record."""
 
-    def __init__(self, robots: Iterable[str], landmarks: Iterable[str] = (), timeline: TimelineSettings | None = None):
+    def __init__(
+        self,
+        robots: Iterable[str],
+        landmarks: Iterable[str] = (),
+        gate: GateSettings | None = None,
+        timeline: TimelineSettings | None = None,
+    ):
+        """gate: the fix that places a robot is none that others contradict."""
         self.timeline = Timeline(robots, landmarks, timeline)
         self.graph = gtsam.NonlinearFactorGraph()  # everything so far, for a batch solve
         self.timing = 0.0  # s spent in updates
-        self._gate = Gate(self.timeline, GateSettings())  # the fix that places a robot is none that others contradict
+        self._gate = Gate(self.timeline, gate or GateSettings())
         self._estimate = DeadReckoningEstimate(self.timeline)
 
     def update(self, records: Iterable[Record]) -> Estimate:
@@ -37,9 +44,25 @@ class DeadReckoning:
         growth = self.timeline.extend(records, self._estimate.any_value, refusals)
         self.graph.push_back(growth.graph)
         self._estimate.grow(growth.tree, growth.values)
+        self._estimate.grow(self._new_corners(records), gtsam.Values())
         self._estimate.keep_causal(growth.poses)
         self.timing += time.perf_counter() - began
         return self._estimate
+
+    def values(self) -> gtsam.Values:
+        """All variables as known now."""
+        return self._estimate.values()
+
+    def _new_corners(self, records: Iterable[Record]) -> Iterator[Edge]:
+        """Map vertices hang on the pose from which they were first seen."""
+        for record in records:
+            if not isinstance(record, CornerDecision) or self._estimate.knows_vertex(record.vertex):
+                continue
+            seen = record.sighting
+            if self.timeline.is_placed(record.vertex) and self.timeline.is_placed(seen.observer):
+                key = self._estimate.pose_key_at(seen.observer, seen.stamp_s)
+                cov = observer_to_target_axes(seen.T_observer_corner, seen.cov_observer)
+                yield Edge(key, vertex_key(record.vertex), seen.T_observer_corner, cov)
 
 
 class DeadReckoningEstimate(Estimate):
@@ -54,13 +77,16 @@ class DeadReckoningEstimate(Estimate):
         self._parent: dict[int, int] = {}
         self._open: dict[int, list[Edge]] = defaultdict(list)  # by both keys; edges that nothing reaches yet
 
-    @property
-    def vertices(self) -> list[int]:
-        """None: dead reckoning does not look at corners."""
-        return []
+    def knows_vertex(self, vertex: int) -> bool:
+        """Whether a map vertex hangs on the tree."""
+        return vertex_key(vertex) in self._poses
 
-    def vertex_key(self, vertex: int) -> int:
-        raise BadInput(f"dead reckoning estimates no map vertices (vertex {vertex} was asked for)")
+    def values(self) -> gtsam.Values:
+        """Everything that it knows."""
+        values = gtsam.Values(self._guesses)
+        for key, pose in self._poses.items():
+            values.insert(key, pose)
+        return values
 
     @property
     def landmarks(self) -> list[str]:

@@ -179,3 +179,6 @@ class Estimator(Protocol):
 
     def update(self, records: Iterable[Record]) -> Estimate:
         """Use a further group of records; raises UnderDetermined when a variable is not tied down."""
+
+    def values(self) -> gtsam.Values:
+        """All variables as last known: where a solver may start."""

@@ -52,7 +52,7 @@ def make(name: str, robots: Sequence[str], landmarks: Sequence[str], settings: E
     """
     plain = replace(settings.timeline, loss=Loss())
     if name == "dead-reckoning":
-        return DeadReckoning(robots, landmarks, plain)
+        return DeadReckoning(robots, landmarks, settings.gate, plain)
     if name == "weighted":
         return Weighted(robots, landmarks, settings.ekf, settings.gate, plain)
     if name == "ekf":
@@ -89,7 +89,9 @@ def run(
     timeline = smoothed.estimate.timeline
     end_s = records[-1].stamp_s
     placed = dict.fromkeys(filter(timeline.is_placed, timeline.robots), end_s)
-    return Replay(smoothed.estimate, smoothed.solution.graph, np.array([end_s]), seconds, np.array([len(timeline.stamps)]), placed)
+    return Replay(
+        smoothed.estimate, smoothed.solution.graph, np.array([end_s]), seconds, np.array([len(timeline.stamps)]), placed
+    )
 
 
 def _for_log(settings: TimelineSettings, records: Iterable[Record]) -> TimelineSettings:

@@ -25,6 +25,8 @@ DEFAULTS = np.array([0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 _STEPS = np.array([0, 0, 0, 1e-4, 1e-4, 1e-4, 1e-4, 0.02])  # for numeric derivatives of dead reckoning
 _RANGE_OFFSET, _RANGE_SCALE, _BEARING_OFFSET = 0, 1, 2
 _ODOMETRY = range(3, COUNT)
+_AT_ONE_SIGMA = Loss("cauchy").applied(gtsam.noiseModel.Unit.Create(1)).robust().weight(1.0)  # 1 / (1 + 1 / k^2)
+_CAUCHY_SQ = _AT_ONE_SIGMA / (1.0 - _AT_ONE_SIGMA)  # k^2
 _WITH_RANGE = gtsam.BearingRangeFactor2D | gtsam.BearingRangeFactorPose2
 _RANGE_ONLY = gtsam.RangeFactor2D | gtsam.RangeFactorPose2
 _BEARING_ONLY = gtsam.BearingFactor2D | gtsam.BearingFactorPose2
@@ -57,13 +59,12 @@ def reduced(
     stamps_s: Mapping[int, float],
     paths: Sequence[DrivenPath | None],
     constants: np.ndarray,
-    loss: Loss,
 ) -> Reduced:
     """Linearize and eliminate the trajectory.
 
     legs: of odometry in the graph.  stamps_s: of pose variables.  paths: raw odometry of each robot, by its index.
-    constants: (robots, 8), with which the measurements in the graph were calibrated.  loss: Cauchy's, on all sightings
-    of the graph, or squares.  Raises UnderDetermined when the trajectory has an open direction.
+    constants: (robots, 8), with which the measurements in the graph were calibrated; its robust losses are
+    Cauchy's.  Raises UnderDetermined when the trajectory has an open direction.
     """
     linear = graph.linearize(values)
     i, j, entries = linear.sparseJacobian_()
@@ -76,7 +77,7 @@ def reduced(
     b = np.zeros(first[-1])
     b[i[right]] = entries[right]
     A = csr_matrix((entries[~right], (i[~right], j[~right])), shape=(first[-1], n))
-    J = _columns(factors, first, b, legs, stamps_s, paths, constants, loss)
+    J = _columns(factors, first, b, legs, stamps_s, paths, constants)
     try:
         hessian = splu(
             csc_matrix(A.T @ A), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
@@ -89,7 +90,7 @@ def reduced(
     return Reduced((information + information.T) / 2, J.T @ b - B.T @ descent, follow, descent, keys)
 
 
-def _columns(factors, first, b, legs, stamps_s, paths, constants, loss: Loss) -> csr_matrix:
+def _columns(factors, first, b, legs, stamps_s, paths, constants) -> csr_matrix:
     """(rows, 8 robots) derivatives of all whitened errors by the constants."""
     of_legs = {(leg.key_a, leg.key_b): leg.T_a_b for leg in legs}
     driven: dict[int, list[tuple]] = {}
@@ -105,7 +106,7 @@ def _columns(factors, first, b, legs, stamps_s, paths, constants, loss: Loss) ->
         block = _sighting(factor, constants)
         if block is not None:
             robot = robot_index(factor.keys()[0])
-            whitened = _root(factor) @ block * _weight_root(b[row : row + factor.dim()], loss)
+            whitened = _root(factor) @ block * _weight_root(factor, b[row : row + len(block)])
             add(row, robot, (_RANGE_OFFSET, _RANGE_SCALE, _BEARING_OFFSET), whitened)
         elif isinstance(factor, gtsam.BetweenFactorPose2):
             keys = tuple(factor.keys())
@@ -174,12 +175,11 @@ def _root(factor) -> np.ndarray:
     return (noise.noise() if isinstance(noise, gtsam.noiseModel.Robust) else noise).R()
 
 
-def _weight_root(b: np.ndarray, loss: Loss) -> float:
+def _weight_root(factor, b: np.ndarray) -> float:
     """Square root of the weight w that a residual d has got: b^2 = w d^2 with w = 1 / (1 + d^2 / k^2)."""
-    if loss.kind == "squares":
+    if not isinstance(factor.noiseModel(), gtsam.noiseModel.Robust):
         return 1.0
-    k_sq = (2.385 * loss.scale_sigmas) ** 2
-    return float(np.sqrt(max(1.0 - float(b @ b) / k_sq, 1e-9)))
+    return float(np.sqrt(max(1.0 - float(b @ b) / _CAUCHY_SQ, 1e-9)))
 
 
 def best_change(

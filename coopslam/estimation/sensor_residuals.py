@@ -178,9 +178,7 @@ def camera_noise(sightings: Mapping[str, Sightings], calibration: Calibration) -
     every = [(one, calibration.of(robot)) for robot, one in sightings.items()]
     bearings = np.concatenate([np.zeros(0), *(one.bearing_residuals(of) for one, of in every)])
     bearings = bearings[np.isfinite(bearings)]
-    errors = np.concatenate(
-        [np.zeros(0), *(one.range_residuals(of, calibration.range_is_depth) for one, of in every)]
-    )
+    errors = np.concatenate([np.zeros(0), *(one.range_residuals(of, calibration.range_is_depth) for one, of in every)])
     ranges = np.concatenate([np.zeros(0), *(one.range_m for one, _ in every)])[np.isfinite(errors)]
     errors = errors[np.isfinite(errors)]
     if min(len(bearings), len(errors)) < FEWEST:

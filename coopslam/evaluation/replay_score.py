@@ -157,5 +157,3 @@ def _nis(estimate: Estimate) -> dict:
         found = residual_statistics(estimate.graph, estimate.values)
         return {kind: {"count": one.count, "mean_per_dof": one.mean_per_dim} for kind, one in found.items()}
     return {}
-
-
