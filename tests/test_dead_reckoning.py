@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from leapfrog import ROBOTS, difference, leapfrog
 
 from coopslam.estimation.batch import Batch

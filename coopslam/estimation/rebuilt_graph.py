@@ -1,4 +1,4 @@
-"""The graph of records that have changed a little, with the last solution as its start: no search for where robots are."""
+"""The graph of records that have changed a little, started from the last solution: no search for where robots are."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -104,21 +104,22 @@ def self_calibrate(
     if not records:
         raise BadInput(f"{log or 'the log'}: no records to calibrate from")
     timeline = replace(timeline or TimelineSettings(), loss=Loss("cauchy"))
-    paths = driven_paths(records)
-    solution = _start(records, robots, landmarks, timeline, settings.smooth)
+    paths, end_s = driven_paths(records), max(record.stamp_s for record in records)
+    solution = _start(synchronized(records), robots, landmarks, timeline, settings.smooth)
     tell(f"start found, {time.perf_counter() - began:.1f} s")
     is_depth = looks_like_depth(solution.sightings(records))
     constants = np.tile(DEFAULTS, (len(robots), 1))
     calibration = _calibration(constants, robots, is_depth, settings.camera)
     for number in range(settings.rounds):
-        found = rebuilt(set_right(records, calibration), robots, landmarks, timeline, solution, robust_fixes=True)
+        ready = synchronized(set_right(records, calibration))
+        found = rebuilt(ready, robots, landmarks, timeline, solution, robust_fixes=True)
         values = _relaxed(found)
         step = reduced(
             found.graph, values, found.legs, found.timeline.stamps, [paths.get(robot) for robot in robots], constants
         )
         change, sigmas = _excited_change(step, constants, settings, _knows_scale(records))
         constants = constants + change
-        solution = Solution.of(found.timeline, step.moved(values, change.ravel()), records[-1].stamp_s)
+        solution = Solution.of(found.timeline, step.moved(values, change.ravel()), end_s)
         odometry = calibration.odometry
         calibration = _calibration(constants, robots, is_depth, settings.camera, odometry)
         if settings.reads_odometry_noise and number == 0:
@@ -163,9 +164,9 @@ def _start(
     timeline: TimelineSettings,
     settings: SmoothSettings,
 ) -> Solution:
-    """What a causal smoother makes of the raw records."""
+    """What a causal smoother makes of raw, synchronized records."""
     causal = Incremental(robots, landmarks, settings.start, settings.gate, timeline)
-    replay(causal, in_groups(synchronized(records), settings.start_period_s))
+    replay(causal, in_groups(records, settings.start_period_s))
     require_connected(causal.timeline)
     return Solution.of(causal.timeline, causal.values(), records[-1].stamp_s)
 
