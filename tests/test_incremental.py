@@ -4,7 +4,7 @@ from leapfrog import FIX_COV, ROBOTS, difference, leapfrog
 
 from coopslam.errors import BadInput, UnderDetermined
 from coopslam.estimation.batch import BatchEstimate, solve_batch
-from coopslam.estimation.incremental import Incremental
+from coopslam.estimation.incremental import Incremental, IncrementalSettings
 from coopslam.evaluation.consistency import chi_square_band, pose_nees, position_nees
 from coopslam.records import CornerSighting, Odometry, RelativePoseFix
 from coopslam.se2 import Pose2, chain_covariance, position
@@ -147,3 +147,18 @@ def test_a_pure_turn_beside_coarse_measurements_is_solved():
     key = estimate.pose_key("robot1")
     np.testing.assert_allclose(estimate.covariance(key)[:2, :2], np.eye(2) * 0.01 / 2, rtol=0.01, atol=1e-6)
     np.testing.assert_allclose(estimate.covariance(key), batch.covariance(key), rtol=1e-4, atol=1e-7)
+
+
+def test_where_cholesky_gives_up_qr_goes_on_to_the_same():
+    """Drives known in heading alone, turns known in place alone: sigmas 10 million times each other in one front."""
+    drive, turn = np.diag([10.0, 10.0, 1e-6]) ** 2, np.diag([1e-6, 1e-6, 0.5]) ** 2
+    groups = [[RelativePoseFix(0.0, "a", "b", Pose2(1, 0, 0), np.eye(3) * 1e-4)]]
+    for k in range(40):
+        odometry = Odometry(k, k + 1.0, "b", Pose2(0, 0, 1) if k % 2 else Pose2(1, 0, 0), turn if k % 2 else drive)
+        groups.append([odometry, RelativePoseFix(k + 1.0, "a", "b", Pose2(1, k, 0), np.eye(3) * 2500.0)])
+    both = [Incremental(("a", "b"), settings=IncrementalSettings(factorization=f)) for f in ("CHOLESKY", "QR")]
+    for group in groups:
+        fast, sure = (estimator.update(group) for estimator in both)
+    assert not both[0]._is_cholesky
+    assert difference(fast.pose("b"), sure.pose("b")) < 1e-6
+    np.testing.assert_allclose(fast.belief("b").cov_body, sure.belief("b").cov_body, rtol=1e-6)

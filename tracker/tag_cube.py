@@ -29,7 +29,7 @@ class TagCube:
     tag_m: float = 0.24  # edge of a tag, outer side of its black border
     bottom_m: float = 0.18
     side_ids: tuple[int, int, int, int] = (0, 1, 2, 3)
-    top_id: int | None = None  # on the upper face, its upper edge towards the robot's back; None: no tag there
+    top_id: int | None = None  # on the upper face, its upper edge towards the robot's front; None: no tag there
     dark: float = 0.05  # reflectance
     light: float = 0.85
     forward_m: float = 0.0  # of the cube's axis from the robot's reference point
@@ -74,7 +74,7 @@ class TagCube:
     def face_axes(self, face: int) -> np.ndarray:
         """(3, 3) rows: right, up and outward of a face as somebody in front of it sees them, in the robot's body."""
         if face == TOP:
-            return np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) * [[-1.0], [-1.0], [1.0]]
+            return np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
         c, s = np.round([np.cos(face * pi / 2), np.sin(face * pi / 2)])
         return np.array([[-s, c, 0.0], [0.0, 0.0, 1.0], [c, s, 0.0]])
 

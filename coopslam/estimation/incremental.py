@@ -75,35 +75,37 @@ class Incremental:
 
     def values(self) -> gtsam.Values:
         """All variables as known now."""
-        return self._ask(self._isam.calculateBestEstimate)
+        return self._ask("calculateBestEstimate")
 
     def _smooth(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         if graph.size() == 0:
             return
-        try:
-            self._ask(self._isam.update, graph, values)
-        except UnderDetermined:
-            if not self._is_cholesky:
-                raise
-            self._go_on_with_qr(values)
+        self._ask("update", graph, values)
         for _ in range(self.settings.rounds):
-            if self._ask(self._isam.update).getVariablesRelinearized() == 0:
+            if self._ask("update").getVariablesRelinearized() == 0:
                 break
 
+    def _ask(self, question: str, *arguments):
+        """Call iSAM2 with room to recurse; its complaint about an open direction names the variable.
+
+        When it was Cholesky that complained, everything so far goes into a smoother with QR, which is asked again.
+        """
+        try:
+            return deep_stack.call(getattr(self._isam, question), *arguments, variables=len(self.timeline.stamps))
+        except RuntimeError as error:
+            if not self._is_cholesky:
+                raise in_words(error, self.graph, self._isam.getLinearizationPoint(), self.timeline.robots) from error
+        is_update = question == "update"
+        self._go_on_with_qr(arguments[1] if is_update and arguments else gtsam.Values())
+        return self._ask(question, *(() if is_update else arguments))
+
     def _go_on_with_qr(self, new: gtsam.Values) -> None:
-        """Everything so far once more, into a smoother that can tell a strong equation from an open direction."""
+        """All factors so far, from where they were linearized last."""
         values = self._isam.getLinearizationPoint()
         for key in filter(lambda key: not values.exists(key), new.keys()):
             values.insert(key, value_of(new, key))
         self._is_cholesky, self._isam = False, gtsam.ISAM2(_parameters(self.settings, "QR"))
-        self._ask(self._isam.update, self.graph, values)
-
-    def _ask(self, function, *arguments):
-        """Call iSAM2 with room to recurse; its complaint about an open direction names the variable."""
-        try:
-            return deep_stack.call(function, *arguments, variables=len(self.timeline.stamps))
-        except RuntimeError as error:
-            raise in_words(error, self.graph, self._isam.getLinearizationPoint(), self.timeline.robots) from error
+        self._ask("update", self.graph, values)
 
 
 class IncrementalEstimate(Estimate):
@@ -126,11 +128,11 @@ class IncrementalEstimate(Estimate):
 
     def covariance(self, key: int) -> np.ndarray:
         if key not in self._covariance_of:
-            self._covariance_of[key] = self._owner._ask(self._owner._isam.marginalCovariance, key)
+            self._covariance_of[key] = self._owner._ask("marginalCovariance", key)
         return self._covariance_of[key]
 
     def joint_covariance(self, keys: Sequence[int]) -> np.ndarray:
-        return self._owner._ask(self._owner._isam.jointMarginalCovariance, list(keys)).fullMatrix()
+        return self._owner._ask("jointMarginalCovariance", list(keys)).fullMatrix()
 
     def _told(self, function, key: int):
         try:
