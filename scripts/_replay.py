@@ -3,13 +3,18 @@
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-from coopslam.errors import BadInput, CoopSlamError
-from coopslam.estimation.estimators import EstimatorSettings, run
+from _calibration import CalibrateSettings, calibrate_itself, part_of
+
+from coopslam.errors import BadInput, CoopSlamError, require_between
+from coopslam.estimation.calibration import Calibration, calibrated
+from coopslam.estimation.estimators import BATCH, EstimatorSettings, run
+from coopslam.estimation.rebuilt_graph import Solution
 from coopslam.estimation.replay import Replay
+from coopslam.estimation.self_calibration import smooth_calibrated
 from coopslam.estimation.synchronize import synchronized
 from coopslam.io.log import Log, Truth
 from coopslam.io.mrclam import MrclamSettings, MrclamSource
@@ -23,8 +28,22 @@ class ReplaySettings:
 
     ignore: Literal["nothing", "landmarks", "robots"] = "nothing"  # sightings of these are not used
     figures: Literal["none", "static"] = "static"
+    from_s: float = 0.0  # the part of the log that is used, s after its start
+    to_s: float | None = None  # None: to its end
+    calibrate: bool = False  # let the log calibrate its own sensors, without truth
+    self_calibration: CalibrateSettings = field(default_factory=CalibrateSettings)
+    calibration: Calibration | None = None  # of the sensors, from elsewhere
     estimation: EstimatorSettings = field(default_factory=EstimatorSettings)
     mrclam: MrclamSettings = field(default_factory=MrclamSettings)
+
+    def __post_init__(self):
+        require_between(0.0, 1e9, from_s=self.from_s)
+        if self.to_s is not None:
+            require_between(self.from_s, 1e9, to_s=self.to_s)
+        if self.calibrate and self.calibration is not None:
+            raise BadInput("calibrate: either that or a calibration expected, got both")
+        if self.mrclam.range_is_depth and self.calibration is not None and self.calibration.range_is_depth:
+            raise BadInput("calibration: it takes ranges for depths, and so does mrclam.range_is_depth; expected one")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,9 +52,13 @@ class Recording:
 
     path: Path
     log: Log
-    records: list[Record]  # synchronized, without what is ignored
+    records: list[Record]  # calibrated and synchronized, without what is ignored
     truth: Truth | None
     load_seconds: float
+    ignored: int = 0  # records
+    calibration: Calibration | None = None  # what the records were calibrated with
+    solution: Solution | None = None  # of the self-calibration
+    calibration_seconds: float | None = None  # of the self-calibration, the search for a start included
 
     @property
     def header(self) -> LogHeader:
@@ -49,10 +72,7 @@ class Recording:
     def counts(self) -> dict:
         """Number of records of each kind, and what was dropped by the reader, and why."""
         kinds = Counter(type(record).__name__ for record in self.log.records)
-        ignored = len(self.log.records) - len(without_ignored(self.log.records, self.header, self.ignore))
-        return {**kinds, "ignored": ignored, "dropped": dict(self.log.dropped)}
-
-    ignore: str = "nothing"
+        return {**kinds, "ignored": self.ignored, "dropped": dict(self.log.dropped)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,17 +85,31 @@ class Outcome:
     exit_code: int = 0
 
 
-def open_recording(path: Path, settings: ReplaySettings) -> Recording:
-    """Read a log. Raises BadInput for what cannot be used, or when nothing is in it."""
+def open_recording(path: Path, settings: ReplaySettings, tell: Callable[[str], None] = print) -> Recording:
+    """Read a log, and calibrate it when the settings say so. tell: is told what self-calibration has done.
+
+    Raises BadInput for what cannot be used, or when nothing is in it, and what `self_calibrate` raises.
+    """
     began = time.perf_counter()
     source = open_log(path)
     if isinstance(source, MrclamSource):
         source = MrclamSource(path, settings.mrclam)
     log = source.read()
-    records = synchronized(without_ignored(log.records, log.header, settings.ignore))
-    if not records:
+    log = replace(log, records=part_of(log.records, settings.from_s, settings.to_s, str(path)))
+    raw = without_ignored(log.records, log.header, settings.ignore)
+    if not raw:
         raise BadInput(f"{path}: no records to replay; expected odometry and sightings")
-    return Recording(path, log, records, source.truth(), time.perf_counter() - began, settings.ignore)
+    calibration, solution, seconds = settings.calibration, None, None
+    if settings.calibrate:
+        is_mrclam, timeline = isinstance(source, MrclamSource), settings.estimation.timeline
+        found = calibrate_itself(log, raw, is_mrclam, timeline, settings.self_calibration, tell)
+        calibration, solution, seconds = found.calibration, found.solution, found.seconds
+    ignored = len(log.records) - len(raw)
+    if calibration is not None:
+        raw = calibrated(raw, calibration, log.dropped)
+    records, truth = synchronized(raw), source.truth()
+    load_seconds = time.perf_counter() - began - (seconds or 0.0)
+    return Recording(path, log, records, truth, load_seconds, ignored, calibration, solution, seconds)
 
 
 def without_ignored(records: Sequence[Record], header: LogHeader, ignore: str) -> list[Record]:
@@ -95,8 +129,12 @@ def run_estimator(
     name: str, recording: Recording, settings: ReplaySettings, watch: Callable[[float], None] = lambda stamp_s: None
 ) -> Outcome:
     """One estimator over a recording; what it cannot do is an outcome, not an error."""
-    header = recording.header
+    header, estimation = recording.header, settings.estimation
+    arguments = (recording.records, header.robots, header.landmarks)
     try:
-        return Outcome(name, run(name, recording.records, header.robots, header.landmarks, settings.estimation, watch))
+        if name == BATCH and recording.solution is not None:
+            replay = smooth_calibrated(*arguments, estimation.timeline, estimation.smooth, recording.solution)
+            return Outcome(name, replay)
+        return Outcome(name, run(name, *arguments, estimation, watch))
     except CoopSlamError as error:
         return Outcome(name, None, " ".join(str(error).split()), error.exit_code)

@@ -9,6 +9,7 @@ from dataclasses import replace
 from math import degrees
 from pathlib import Path
 
+from _calibration import read_calibration
 from _replay import Recording, ReplaySettings
 from rich.console import Console
 from rich.progress import Progress
@@ -29,6 +30,26 @@ def add_replay_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--period", metavar="S", type=float, help="shortest time between two updates, s; default: 0.25")
     parser.add_argument("--figures", choices=["none", "static"], help="default: static")
+    add_part_options(parser)
+    calibration = parser.add_mutually_exclusive_group()
+    calibration.add_argument(
+        "--calibrate", action="store_true", help="first let the log calibrate its own sensors, without truth"
+    )
+    calibration.add_argument(
+        "--calibration", metavar="C.toml", type=Path, help="sensors as calibrate.py found them, in this log or another"
+    )
+
+
+def add_part_options(parser: argparse.ArgumentParser) -> None:
+    """Which part of a log is used."""
+    for end, default in (("from", "its start"), ("to", "its end")):
+        parser.add_argument(
+            f"--{end}",
+            dest=f"{end}_s",
+            metavar="S",
+            type=float,
+            help=f"use the log {end} here, s after its first record began; default: {default}",
+        )
 
 
 def replay_settings(options: argparse.Namespace) -> ReplaySettings:
@@ -36,7 +57,13 @@ def replay_settings(options: argparse.Namespace) -> ReplaySettings:
     settings = ReplaySettings()
     if options.config is not None:
         settings = from_mapping(ReplaySettings, load_toml(options.config), str(options.config))
-    given = {name: getattr(options, name) for name in ("ignore", "figures") if getattr(options, name) is not None}
+    named = {} if options.calibration is None else {"calibration": read_calibration(options.calibration)}
+    named |= {"calibrate": True} if options.calibrate else {}
+    given = named | {
+        name: getattr(options, name)
+        for name in ("ignore", "figures", "from_s", "to_s")
+        if getattr(options, name) is not None
+    }
     settings, estimation = replace(settings, **given), settings.estimation
     if options.loss is not None:
         loss = replace(estimation.timeline.loss, kind=options.loss)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from _calibration import write_calibration
 from _replay import Outcome, Recording
 
 from coopslam.estimation.estimate import Trajectory
@@ -39,7 +40,17 @@ def summarize(recording: Recording, outcomes: Sequence[Outcome], scored: Sequenc
         "truth": sorted(recording.truth.robots) if recording.truth else [],
         "estimators": estimators,
         "load_seconds": recording.load_seconds,
+        **_calibration(recording),
     }
+
+
+def _calibration(recording: Recording) -> dict:
+    """What the records were calibrated with, and how long that took when the log did it by itself."""
+    calibration, seconds = recording.calibration, recording.calibration_seconds
+    if calibration is None:
+        return {}
+    result = {"calibration": "self" if seconds is not None else calibration.provenance.log or "unknown"}
+    return result if seconds is None else {**result, "calibration_seconds": seconds}
 
 
 def spread(summaries: Sequence[dict]) -> dict:
@@ -63,6 +74,15 @@ def write_trajectories(directory: Path, score: ReplayScore) -> None:
         write_tum(directory / f"{robot}.tum", trajectory.stamps_s, trajectory.poses)
     for robot, trajectory in score.causal.items():
         write_tum(directory / f"{robot}.causal.tum", trajectory.stamps_s, trajectory.poses)
+
+
+def write_own_calibration(directory: Path, recording: Recording) -> None:
+    """calibration.toml when the log calibrated itself, and none of an older run otherwise."""
+    path = directory / "calibration.toml"
+    if recording.calibration_seconds is None:
+        path.unlink(missing_ok=True)
+    else:
+        write_calibration(path, recording.calibration)
 
 
 def write_landmarks(path: Path, replay: Replay) -> None:

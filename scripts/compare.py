@@ -1,4 +1,4 @@
-"""Recorded logs through several estimators: errors, consistency, time; medians and spread when there are several logs."""
+"""Recorded logs through several estimators: errors, consistency, time; medians and spread of several logs."""
 
 import sys
 from argparse import ArgumentTypeError
@@ -17,7 +17,7 @@ from _replay_options import (
     replay_settings,
     slug,
 )
-from _replay_output import score, spread, summarize, view_of, write_trajectories
+from _replay_output import score, spread, summarize, view_of, write_own_calibration, write_trajectories
 
 from coopslam.estimation.estimators import NAMES
 from coopslam.evaluation.replay_score import ReplayScore
@@ -76,6 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _compare(recording: Recording, names: Sequence[str], settings: ReplaySettings, out: Path) -> Compared:
     """All estimators over one log, and everything written that is to be known of them."""
     out.mkdir(exist_ok=True)
+    write_own_calibration(out, recording)
     outcomes = []
     for name in names:
         with progress(recording, [name]) as watch:

@@ -2,13 +2,19 @@
 
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from _cli import OneLineParser, run
 from _replay import open_recording, run_estimator
 from _replay_options import add_replay_options, output_directory, print_scores, progress, replay_settings
-from _replay_output import score, summarize, view_of, write_landmarks, write_trajectories
+from _replay_output import (
+    score,
+    summarize,
+    view_of,
+    write_landmarks,
+    write_own_calibration,
+    write_trajectories,
+)
 
 from coopslam.estimation.estimators import BATCH, NAMES
 from coopslam.io.toml import dump_toml, to_mapping
@@ -30,6 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     recording = open_recording(options.log, settings)
     out = output_directory(options, f"replay-{recording.log.name}-{options.estimator}")
     (out / "config.toml").write_text(dump_toml(to_mapping(settings)), encoding="utf-8")
+    write_own_calibration(out, recording)
     with progress(recording, [options.estimator]) as watch:
         outcome = run_estimator(options.estimator, recording, settings, watch)
     result = score(outcome, recording)

@@ -44,16 +44,20 @@ def sightings(target, is_point):
 
 def test_kinds_are_told_by_type_and_keys():
     assert kind_of(between(A, B)) == "odometry" and kind_of(between(B, C)) == "odometry"
-    assert kind_of(between(A, C)) == "loop_closure" and kind_of(between(C, B)) == "loop_closure"
-    assert kind_of(between(C, OTHER)) == "relative_pose" and kind_of(between(A, VERTEX)) == "corner"
+    assert kind_of(between(A, C)) == "loop closure" and kind_of(between(C, B)) == "loop closure"
+    assert kind_of(between(C, OTHER)) == "relative pose" and kind_of(between(A, VERTEX)) == "corner"
     assert kind_of(factors.wall(VERTEX, vertex_key(4), WallDecision(0.0, 3, 4))) == "wall"
-    assert kind_of(factors.gauge_prior(A)) == "pose_prior"
-    assert kind_of(gtsam.PriorFactorPoint2(LANDMARK, np.zeros(2), gtsam.noiseModel.Unit.Create(2))) == "landmark_prior"
-    assert [kind_of(f) for f in sightings(OTHER, False)] == ["bearing_range_robot", "range_robot", "bearing_robot"]
+    assert kind_of(factors.gauge_prior(A)) == "pose prior"
+    assert kind_of(gtsam.PriorFactorPoint2(LANDMARK, np.zeros(2), gtsam.noiseModel.Unit.Create(2))) == "landmark prior"
+    assert [kind_of(f) for f in sightings(OTHER, False)] == [
+        "bearing-range of a robot",
+        "range of a robot",
+        "bearing of a robot",
+    ]
     assert [kind_of(f) for f in sightings(LANDMARK, True)] == [
-        "bearing_range_landmark",
-        "range_landmark",
-        "bearing_landmark",
+        "bearing-range of a landmark",
+        "range of a landmark",
+        "bearing of a landmark",
     ]
     past = gtsam.LinearContainerFactor(gtsam.JacobianFactor(A, np.eye(3), np.zeros(3), gtsam.noiseModel.Unit.Create(3)))
     assert kind_of(past) is None
@@ -79,7 +83,7 @@ def test_two_measurements_of_the_same_share_their_difference():
     assert (odometry.count, odometry.dim) == (1, 3)
     assert odometry.mean_per_dim == pytest.approx(2.25 / 3, rel=1e-4)
     assert odometry.expected_per_dim == pytest.approx(0.5, rel=1e-4)  # each takes half of every dimension
-    assert statistics["pose_prior"].expected_per_dim == pytest.approx(0.0, abs=1e-9)
+    assert statistics["pose prior"].expected_per_dim == pytest.approx(0.0, abs=1e-9)
 
 
 def test_squares_and_their_expectations_add_up_to_those_of_the_graph():
@@ -89,7 +93,7 @@ def test_squares_and_their_expectations_add_up_to_those_of_the_graph():
     values = batch.values()
     statistics = residual_statistics(batch.graph, values, Covariances(batch.graph, values).joint)
     squares, dof = chi_square(batch.graph, values)
-    assert set(statistics) == {"pose_prior", "odometry", "relative_pose", "corner"}
+    assert set(statistics) == {"pose prior", "odometry", "relative pose", "corner"}
     assert sum(s.count * s.dim * s.mean_per_dim for s in statistics.values()) == pytest.approx(squares)
     assert sum(s.count * s.dim * s.expected_per_dim for s in statistics.values()) == pytest.approx(dof, rel=1e-6)
     assert residual_statistics(batch.graph, values)["corner"].expected_per_dim is None
@@ -171,8 +175,8 @@ def test_innovations_of_a_filter_are_judged_two_sided(belief, honest):
         dof = 2 + i % 2
         S = block_diag(0.04, 0.01, 0.09)[:dof, :dof]
         miss = rng.multivariate_normal(np.zeros(dof), S)
-        innovations.append(Innovation("relative_pose", float(miss @ np.linalg.solve(belief * S, miss)), dof))
-    found = innovation_statistics(innovations)["relative_pose"]
+        innovations.append(Innovation("relative pose", float(miss @ np.linalg.solve(belief * S, miss)), dof))
+    found = innovation_statistics(innovations)["relative pose"]
     low, high = found.band_per_dof
     assert (low < found.mean_per_dof < high) == honest
     assert (low, high) == pytest.approx(chi2.ppf([0.025, 0.975], 1500) / 1500)

@@ -27,9 +27,6 @@ _RANGE_OFFSET, _RANGE_SCALE, _BEARING_OFFSET = 0, 1, 2
 _ODOMETRY = range(3, COUNT)
 _AT_ONE_SIGMA = Loss("cauchy").applied(gtsam.noiseModel.Unit.Create(1)).robust().weight(1.0)  # 1 / (1 + 1 / k^2)
 _CAUCHY_SQ = _AT_ONE_SIGMA / (1.0 - _AT_ONE_SIGMA)  # k^2
-_WITH_RANGE = gtsam.BearingRangeFactor2D | gtsam.BearingRangeFactorPose2
-_RANGE_ONLY = gtsam.RangeFactor2D | gtsam.RangeFactorPose2
-_BEARING_ONLY = gtsam.BearingFactor2D | gtsam.BearingFactorPose2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,61 +90,73 @@ def reduced(
 def _columns(factors, first, b, legs, stamps_s, paths, constants) -> csr_matrix:
     """(rows, 8 robots) derivatives of all whitened errors by the constants."""
     of_legs = {(leg.key_a, leg.key_b): leg.T_a_b for leg in legs}
-    driven: dict[int, list[tuple]] = {}
-    rows, columns, entries = [], [], []
-
-    def add(row: int, robot: int, parameters: Sequence[int], block: np.ndarray) -> None:
-        for k, line in enumerate(block.tolist()):
-            rows.extend([row + k] * len(parameters))
-            columns.extend(COUNT * robot + parameter for parameter in parameters)
-            entries.extend(line)
-
+    sightings: dict[int, list[tuple]] = {}  # number of rows -> row, observer, (rows, 3) derivatives, noise
+    driven: dict[int, list[tuple]] = {}  # robot -> row, keys of start and end, noise
     for factor, row in zip(factors, first.tolist(), strict=False):
-        block = _sighting(factor, constants)
-        if block is not None:
-            robot = robot_index(factor.keys()[0])
-            whitened = _root(factor) @ block * _weight_root(factor, b[row : row + len(block)])
-            add(row, robot, (_RANGE_OFFSET, _RANGE_SCALE, _BEARING_OFFSET), whitened)
-        elif isinstance(factor, gtsam.BetweenFactorPose2):
-            keys = tuple(factor.keys())
-            if keys in of_legs and of_legs[keys].equals(factor.measured(), 1e-9):
-                driven.setdefault(robot_index(keys[0]), []).append((row, *keys, _root(factor)))
+        derivatives = _SIGHTINGS.get(type(factor))
+        keys = factor.keys()
+        robot = robot_index(keys[0])
+        if derivatives is not None and robot is not None:
+            block = derivatives(factor.measured(), constants[robot])
+            sightings.setdefault(len(block), []).append((row, robot, block, factor.noiseModel()))
+        elif isinstance(factor, gtsam.BetweenFactorPose2) and robot is not None:
+            other = robot_index(keys[1])
+            if other == robot and tuple(keys) in of_legs and of_legs[tuple(keys)].equals(factor.measured(), 1e-9):
+                driven.setdefault(robot, []).append((row, *keys, factor.noiseModel()))
+            elif other is not None and other != robot:
+                block = _relative_pose(factor.measured(), constants[robot])
+                sightings.setdefault(3, []).append((row, robot, block, factor.noiseModel()))
+    entries = [_seen(own, b) for own in sightings.values()]
     for robot, own in driven.items():
-        if paths[robot] is None:
-            continue
-        row, start, end, roots = zip(*own, strict=True)
-        blocks = np.array(roots) @ _leg_derivatives(
-            paths[robot],
-            np.array([stamps_s[key] for key in start]),
-            np.array([stamps_s[key] for key in end]),
-            constants[robot],
-        )
-        at = np.array(row)[:, None, None] + np.arange(3)[None, :, None] + np.zeros(len(_ODOMETRY), int)
-        rows.extend(at.ravel().tolist())
-        column = COUNT * robot + np.array(_ODOMETRY) + np.zeros_like(at)
-        columns.extend(column.ravel().tolist())
-        entries.extend(blocks.ravel().tolist())
-    return csr_matrix((entries, (rows, columns)), shape=(first[-1], constants.size))
+        if paths[robot] is not None:
+            entries.append(_driven(own, robot, stamps_s, paths[robot], constants[robot]))
+    every = [np.concatenate([part[k].ravel() for part in entries]) for k in range(3)] if entries else ([], [], [])
+    return csr_matrix((every[2], (every[0], every[1])), shape=(first[-1], constants.size))
 
 
-def _sighting(factor, constants: np.ndarray) -> np.ndarray | None:
-    """(rows, 3) derivatives of a sighting's error by offset and scale of the range and offset of the bearing."""
-    if isinstance(factor, _WITH_RANGE):
-        scale = constants[robot_index(factor.keys()[0]), _RANGE_SCALE]
-        return np.array([[0.0, 0.0, 1.0], [1.0 / scale, factor.measured().range() / scale, 0.0]])
-    if isinstance(factor, _RANGE_ONLY):
-        scale = constants[robot_index(factor.keys()[0]), _RANGE_SCALE]
-        return np.array([[1.0 / scale, factor.measured() / scale, 0.0]])
-    if isinstance(factor, _BEARING_ONLY):
-        return np.array([[0.0, 0.0, 1.0]]) if robot_index(factor.keys()[0]) is not None else None
-    if isinstance(factor, gtsam.BetweenFactorPose2):
-        a, b = map(robot_index, factor.keys())
-        return None if a is None or b is None or a == b else _relative_pose(factor.measured(), constants[a])
-    return None
+def _seen(own: Sequence[tuple], b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, columns and entries (each (N, n, 3)) of sightings with n rows."""
+    row, robot, blocks, noises = zip(*own, strict=True)
+    blocks = np.array(blocks)
+    rows = np.array(row)[:, None] + np.arange(blocks.shape[1])
+    blocks = np.array([_root(noise) for noise in noises]) @ blocks
+    robust = np.array([isinstance(noise, gtsam.noiseModel.Robust) for noise in noises])
+    # the weight w that a residual d has got: b^2 = w d^2 with w = 1 / (1 + d^2 / k^2)
+    weights = np.where(robust, np.maximum(1.0 - (b[rows] ** 2).sum(axis=1) / _CAUCHY_SQ, 1e-9), 1.0)
+    columns = COUNT * np.array(robot)[:, None] + np.array([_RANGE_OFFSET, _RANGE_SCALE, _BEARING_OFFSET])
+    rows, columns = np.broadcast_arrays(rows[:, :, None], columns[:, None, :])
+    return rows, columns, blocks * np.sqrt(weights)[:, None, None]
+
+
+def _driven(own: Sequence[tuple], robot: int, stamps_s, path: DrivenPath, constants: np.ndarray) -> tuple:
+    """Rows, columns and entries (each (N, 3, 5)) of legs of odometry."""
+    row, start, end, noises = zip(*own, strict=True)
+    starts_s, ends_s = (np.array([stamps_s[key] for key in keys]) for keys in (start, end))
+    roots = np.array([_root(noise) for noise in noises])
+    rows, columns = np.broadcast_arrays(
+        np.array(row)[:, None, None] + np.arange(3)[:, None], COUNT * robot + np.array(_ODOMETRY)
+    )
+    return rows, columns, roots @ _leg_derivatives(path, starts_s, ends_s, constants)
+
+
+# (rows, 3) derivatives of a sighting's error by offset and scale of the range and offset of the bearing
+
+
+def _bearing_range(measured, constants: np.ndarray) -> list[list[float]]:
+    scale = constants[_RANGE_SCALE]
+    return [[0.0, 0.0, 1.0], [1.0 / scale, measured.range() / scale, 0.0]]
+
+
+def _range(measured: float, constants: np.ndarray) -> list[list[float]]:
+    return [[1.0 / constants[_RANGE_SCALE], measured / constants[_RANGE_SCALE], 0.0]]
+
+
+def _bearing(measured, constants: np.ndarray) -> list[list[float]]:
+    return [[0.0, 0.0, 1.0]]
 
 
 def _relative_pose(T_observer_target: gtsam.Pose2, constants: np.ndarray) -> np.ndarray:
-    """(3, 3) as `_sighting`; the error of a relative pose lives in the axes of the target."""
+    """The error of a relative pose lives in the axes of the target."""
     x, y, heading = T_observer_target.x(), T_observer_target.y(), T_observer_target.theta()
     scale, range_m = constants[_RANGE_SCALE], max(np.hypot(x, y), 1e-9)
     c, s = np.cos(heading), np.sin(heading)
@@ -169,17 +178,19 @@ def _leg_derivatives(path: DrivenPath, starts_s: np.ndarray, ends_s: np.ndarray,
     return blocks
 
 
-def _root(factor) -> np.ndarray:
-    """(n, n) square root of the information of a factor's noise, which whitens its error."""
-    noise = factor.noiseModel()
+def _root(noise: gtsam.noiseModel.Base) -> np.ndarray:
+    """(n, n) square root of the information, which whitens an error."""
     return (noise.noise() if isinstance(noise, gtsam.noiseModel.Robust) else noise).R()
 
 
-def _weight_root(factor, b: np.ndarray) -> float:
-    """Square root of the weight w that a residual d has got: b^2 = w d^2 with w = 1 / (1 + d^2 / k^2)."""
-    if not isinstance(factor.noiseModel(), gtsam.noiseModel.Robust):
-        return 1.0
-    return float(np.sqrt(max(1.0 - float(b @ b) / _CAUCHY_SQ, 1e-9)))
+_SIGHTINGS = {
+    gtsam.BearingRangeFactor2D: _bearing_range,
+    gtsam.BearingRangeFactorPose2: _bearing_range,
+    gtsam.RangeFactor2D: _range,
+    gtsam.RangeFactorPose2: _range,
+    gtsam.BearingFactor2D: _bearing,
+    gtsam.BearingFactorPose2: _bearing,
+}
 
 
 def best_change(

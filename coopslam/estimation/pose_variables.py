@@ -13,6 +13,7 @@ from coopslam.records import Odometry
 from coopslam.se2 import Pose2, chain_covariance
 
 STAMP_TOLERANCE_S = 1e-6  # two stamps closer than this are the same instant
+_ANYWHERE_M = 50.0  # random starts lie at most so far from the origin along either axis
 
 
 def tracks_of(robots: Iterable[str]) -> dict[str, Track]:
@@ -23,10 +24,11 @@ def tracks_of(robots: Iterable[str]) -> dict[str, Track]:
 class PoseVariables:
     """Makes the pose variables, and the legs of odometry between them."""
 
-    def __init__(self, tracks: dict[str, Track], assembly: Assembly, every_leg: bool):
-        """every_leg: a variable at the end of each odometry record."""
+    def __init__(self, tracks: dict[str, Track], assembly: Assembly, every_leg: bool, random_start: int | None = None):
+        """every_leg: a variable at the end of each odometry record.  random_start: seed of where robots begin."""
         self.stamps: dict[int, float] = {}  # pose key -> s
         self._tracks, self._assembly, self._every_leg = tracks, assembly, every_leg
+        self._random_start = random_start
 
     def drive(self, record: Odometry) -> bool:
         """Compose it with the odometry since the last variable; False when it goes back in time."""
@@ -65,8 +67,12 @@ class PoseVariables:
         return self._tracks[robot].keys[0]
 
     def _begin(self, track: Track, stamp_s: float) -> None:
-        """The first variable of a robot: the origin of its own frame."""
-        key = self._new_key(track, stamp_s, Pose2())
+        """The first variable of a robot: the origin of its own frame, or a random place in it."""
+        guess = Pose2()
+        if self._random_start is not None and track.index > 0:
+            rng = np.random.default_rng((self._random_start, track.index))
+            guess = Pose2(*rng.uniform(-_ANYWHERE_M, _ANYWHERE_M, 2), rng.uniform(-np.pi, np.pi))
+        key = self._new_key(track, stamp_s, guess)
         if track.index == 0:
             self._assembly.add(factors.gauge_prior(key), (track.robot,))
 

@@ -81,7 +81,8 @@ def rebuilt(
     robust_fixes: relative pose fixes get the loss of the other sightings; without, they are left to `solve_robust`.
     Raises UnderDetermined when nothing ties a robot down.
     """
-    timeline, graph, legs, guesses = Timeline(robots, landmarks, settings), gtsam.NonlinearFactorGraph(), [], {}
+    timeline = Timeline(robots, landmarks, settings)
+    graph, legs, guesses = gtsam.NonlinearFactorGraph(), [], {}
 
     def known(key: int) -> Pose2 | np.ndarray:
         return _value(solution, timeline, key, guesses)

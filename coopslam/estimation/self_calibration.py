@@ -103,7 +103,7 @@ def self_calibrate(
     began, settings, records = time.perf_counter(), settings or SelfCalibrationSettings(), list(records)
     if not records:
         raise BadInput(f"{log or 'the log'}: no records to calibrate from")
-    timeline = replace(timeline or TimelineSettings(), loss=Loss("cauchy"))
+    timeline = replace(_with_legs(timeline or TimelineSettings(), records), loss=Loss("cauchy"))
     paths, end_s = driven_paths(records), max(record.stamp_s for record in records)
     solution = _start(synchronized(records), robots, landmarks, timeline, settings.smooth)
     tell(f"start found, {time.perf_counter() - began:.1f} s")
@@ -148,7 +148,7 @@ def smooth_calibrated(
 ) -> Replay:
     """Calibrated and synchronized records smoothed to the end, from the trajectory of `self_calibrate`."""
     began, records = time.perf_counter(), list(records)
-    found = rebuilt(records, robots, landmarks, timeline, solution)
+    found = rebuilt(records, robots, landmarks, _with_legs(timeline, records), solution)
     solved = solve_robust(found.graph, found.timeline.refused, found.values, robots, settings.robust)
     estimate = BatchEstimate(found.timeline, solved.graph, solved.values)
     end_s, seconds = records[-1].stamp_s, time.perf_counter() - began
@@ -190,6 +190,12 @@ def _excited_change(
     everything = np.ones(constants.shape, dtype=bool)
     _, sigmas = best_change(step, constants, prior, everything, knows_scale)
     return best_change(step, constants, prior, sigmas < settings.excited * prior, knows_scale)
+
+
+def _with_legs(settings: TimelineSettings, records: Iterable[Record]) -> TimelineSettings:
+    """Loop closures name poses of long ago: then each leg of odometry ends with a variable."""
+    closures = any(isinstance(record, LoopClosure) for record in records)
+    return replace(settings, every_leg=True) if closures else settings
 
 
 def _knows_scale(records: Iterable[Record]) -> bool:

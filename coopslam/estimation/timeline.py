@@ -52,6 +52,7 @@ class TimelineSettings:
     loss: Loss = SQUARES  # of sightings of points: bearings and ranges, whose targets may be mistaken for each other
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)  # of robots whose start is unknown
     every_leg: bool = False  # a variable at the end of each odometry record; loop closures ask for poses of long ago
+    random_start: int | None = None  # seed: robots are first guessed anywhere, to show that it does not matter
 
 
 class Timeline:
@@ -70,7 +71,7 @@ class Timeline:
         self.refused: list[gtsam.NonlinearFactor] = []  # of fixes that were not believed; they may be looked at again
         self._number = {landmark: number for number, landmark in enumerate(self.landmarks)}
         self._assembly = Assembly(self.tracks, self._number, self.settings.alignment)
-        self._poses = PoseVariables(self.tracks, self._assembly, self.settings.every_leg)
+        self._poses = PoseVariables(self.tracks, self._assembly, self.settings.every_leg, self.settings.random_start)
         self.stamps = self._poses.stamps  # pose key -> s
         self.vertices = self._assembly.vertices  # ids of placed vertices, in the order of their placement
         self.placed_landmarks = self._assembly.landmarks  # in the order of their placement

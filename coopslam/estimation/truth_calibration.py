@@ -91,7 +91,7 @@ def truth_calibrate(
         robots_done[robot] = RobotCalibration(*constants.tolist())
         sigmas[robot] = dict(zip(PARAMETERS, own_sigmas.tolist(), strict=True))
     if not sightings and not paths.keys() & courses.keys():
-        raise BadInput(f"{log or 'the log'}: neither odometry nor a sighting of a robot with truth; nothing to calibrate")
+        raise BadInput(f"{log or 'the log'}: no odometry nor sighting of a robot with truth; nothing to calibrate")
     calibration = Calibration(robots_done, is_depth)
     camera = camera_noise(sightings, calibration)
     calibration = replace(calibration, camera=camera, odometry=odometry_noise(paths, courses, calibration))

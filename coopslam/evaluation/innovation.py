@@ -20,7 +20,7 @@ from coopslam.estimation.keys import is_landmark, is_vertex, robot_index
 from coopslam.evaluation.consistency import chi_square_band
 
 _SIGHTINGS = {
-    "bearing_range": (gtsam.BearingRangeFactor2D, gtsam.BearingRangeFactorPose2),
+    "bearing-range": (gtsam.BearingRangeFactor2D, gtsam.BearingRangeFactorPose2),
     "range": (gtsam.RangeFactor2D, gtsam.RangeFactorPose2),
     "bearing": (gtsam.BearingFactor2D, gtsam.BearingFactorPose2),
 }
@@ -112,21 +112,21 @@ def expected_square(
 def kind_of(factor: gtsam.NonlinearFactor) -> str | None:
     """What a factor measures, read off its type and its keys; None: no measurement of ours, as a marginalized past.
 
-    Two things look the same: a loop closure with another robot counts as `relative_pose`, and one of a robot with its
-    last pose but one variable as `odometry`.  `pose_prior` includes the one that fixes the gauge.
+    Two things look the same: a loop closure with another robot counts as `relative pose`, and one of a robot with its
+    last pose but one variable as `odometry`.  `pose prior` includes the one that fixes the gauge.
     """
     keys = factor.keys()
     if isinstance(factor, gtsam.BetweenFactorPose2):
         return _kind_of_relative_pose(*keys)
     if isinstance(factor, gtsam.PriorFactorPose2):
-        return "pose_prior"
+        return "pose prior"
     if isinstance(factor, gtsam.PriorFactorPoint2):
-        return "landmark_prior"
+        return "landmark prior"
     for kind, classes in _SIGHTINGS.items():
         if isinstance(factor, classes):
             if all(map(is_vertex, keys)):
                 return "wall"
-            return f"{kind}_landmark" if is_landmark(keys[1]) else f"{kind}_robot"
+            return f"{kind} of a landmark" if is_landmark(keys[1]) else f"{kind} of a robot"
     return None
 
 
@@ -158,8 +158,8 @@ def _kind_of_relative_pose(first: int, second: int) -> str:
     if is_vertex(second):
         return "corner"
     if robot_index(first) != robot_index(second):
-        return "relative_pose"
-    return "odometry" if second - first == 1 else "loop_closure"
+        return "relative pose"
+    return "odometry" if second - first == 1 else "loop closure"
 
 
 def _is_robust(noise: gtsam.noiseModel.Base) -> bool:
