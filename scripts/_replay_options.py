@@ -121,7 +121,7 @@ def print_scores(summary: dict) -> None:
             _shown(scores["wall_seconds"], ".1f"),
             _shown(None if latency is None else 1e3 * latency, ".1f"),
         )
-    _print(table)
+    print_table(table)
 
 
 def print_spread(estimators: dict, logs: int) -> None:
@@ -136,10 +136,10 @@ def print_spread(estimators: dict, logs: int) -> None:
         table.add_row(
             name, *("" if c is None else f"{c['median']:.4f} ({c['q25']:.4f}, {c['q75']:.4f})" for c in cells)
         )
-    _print(table)
+    print_table(table)
 
 
-def _print(table: Table) -> None:
+def print_table(table: Table) -> None:
     """As wide as it needs where no terminal sets a limit."""
     console = Console()
     (console if console.is_terminal else Console(width=120)).print(table)

@@ -50,7 +50,7 @@ def optimize(
     sigma 4 096 times another for an open direction. So it is always QR that finds nothing left to gain.
     """
     if ordering is None:
-        ordering = gtsam.Ordering.MetisNonlinearFactorGraph(graph)
+        ordering = nested_dissection(graph)
     descent = _Descent(graph, initial, ordering)
     if iterations > _FEW:
         for solver in _FAST if initial.size() > _LARGE else _FAST[1:]:

@@ -31,7 +31,7 @@ class Covariances:
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, robots: Sequence[str] = ()):
         linear = graph.linearize(values)
-        ordering = gtsam.Ordering.MetisGaussianFactorGraph(linear)
+        ordering = nested_dissection(linear)
         self._graph, self._values, self._robots = graph, values, robots
         try:
             self._net = linear.eliminateSequential(ordering, gtsam.EliminateQR)

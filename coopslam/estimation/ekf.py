@@ -22,13 +22,13 @@ from scipy.stats import chi2
 from coopslam.errors import UnderDetermined, require_between
 from coopslam.estimation.ekf_estimate import Departed, EkfEstimate, Innovation
 from coopslam.estimation.estimate import Estimate
+from coopslam.estimation.factor_kinds import kind_of, record_kind
 from coopslam.estimation.factors import floored
 from coopslam.estimation.filter_models import (
     Linearized,
     Sighting,
     is_prior,
     linearized,
-    names,
     noise_covariance,
     prior_mean,
     sighting,
@@ -45,7 +45,7 @@ from coopslam.se2 import Pose2, chain_covariance, xytheta
 TOO_LATE = "older than the filter's state"
 REFUSED = "beyond the gate"
 SINGULAR = "observer and target coincide"
-_JUDGED_BEFORE = frozenset({"relative pose", "corner", "wall"})  # by `gate`, and by the team that decided
+_JUDGED_BEFORE = frozenset({"RelativePoseFix", "CornerDecision", "WallDecision"})  # by `gate`, and by the team that decided
 _ORIGIN = pose_key(0, 0)
 
 
@@ -144,7 +144,7 @@ class Ekf:
             return self._measure(factor, keys)
         new = [key for key in keys if not self._is_known(key)]
         if not new:
-            self._drop(factor, keys, TOO_LATE)
+            self._drop(factor, TOO_LATE)
             return True
         if new != keys[-1:] or not (len(keys) == 1 or keys[0] in self._state):
             return None
@@ -171,7 +171,7 @@ class Ekf:
             rest.append((factor, keys))
         for factor, keys in reversed(rest):
             if self._use(factor, keys, guesses) is None:
-                self._drop(factor, keys, TOO_LATE)
+                self._drop(factor, TOO_LATE)
 
     def _sighting(self, factor, observer: Pose2, key: int, guesses: gtsam.Values) -> Sighting | None:
         guess = guesses.atPoint2(key) if is_landmark(key) else None
@@ -277,7 +277,7 @@ class Ekf:
         """Correct the state; False when the measurement is refused."""
         model = linearized(factor, [self._state.mean(key) for key in keys])
         if model is None:
-            self._drop(factor, keys, SINGULAR)
+            self._drop(factor, SINGULAR)
             return False
         return self._fuse(factor, keys, model)
 
@@ -294,18 +294,19 @@ class Ekf:
 
     def _is_credible(self, factor: gtsam.NoiseModelFactor, keys: Sequence[int], nis: float, dof: int) -> bool:
         """Judge an innovation, and keep it; one that is refused is counted, and may be looked at again."""
-        kind, _ = names(factor, keys)
-        innovation = Innovation(kind, nis, dof)
+        innovation = Innovation(kind_of(factor), nis, dof)
         self.innovations.append(innovation)
-        if kind in _JUDGED_BEFORE or nis <= _limit(self.settings.gate_probability, dof):
+        if nis <= _limit(self.settings.gate_probability, dof):
+            return True
+        if record_kind(factor, self.timeline) in _JUDGED_BEFORE:
             return True
         self.refused_innovations.append(innovation)
         self.timeline.refused.append(factor)
-        self._drop(factor, keys, REFUSED)
+        self._drop(factor, REFUSED)
         return False
 
-    def _drop(self, factor: gtsam.NoiseModelFactor, keys: Sequence[int], reason: str) -> None:
-        _, record = names(factor, keys)
+    def _drop(self, factor: gtsam.NoiseModelFactor, reason: str) -> None:
+        record = record_kind(factor, self.timeline)
         self.timeline.dropped[f"{record}: {reason}"] += 1
         self.timeline.used[record] -= 1
 

@@ -13,7 +13,6 @@ import gtsam
 import numpy as np
 
 from coopslam.estimation.alignment import AlignmentSettings
-from coopslam.estimation.keys import is_landmark, is_vertex, robot_index
 from coopslam.se2 import Pose2, chain_covariance, rotation
 
 COINCIDE_M = 1e-9  # bearing and range have no derivative where observer and target are closer than this
@@ -95,26 +94,6 @@ def prior_mean(factor: gtsam.NoiseModelFactor) -> np.ndarray:
 def is_prior(factor: gtsam.NoiseModelFactor) -> bool:
     """Whether it measures one variable in the frame itself."""
     return type(factor) in (gtsam.PriorFactorPose2, gtsam.PriorFactorPoint2)
-
-
-def names(factor: gtsam.NoiseModelFactor, keys: Sequence[int]) -> tuple[str, str]:
-    """What a factor measures, in words, and the kind of record that it came from.
-
-    A loop closure between two robots looks like a relative pose fix, and is called that.
-    """
-    kind = type(factor)
-    if kind is gtsam.BetweenFactorPose2:
-        if is_vertex(keys[1]):
-            return "corner", "CornerDecision"
-        if robot_index(keys[0]) == robot_index(keys[1]):
-            return "loop closure", "LoopClosure"
-        return "relative pose", "RelativePoseFix"
-    if len(keys) == 1:
-        return ("landmark prior", "LandmarkPrior") if is_landmark(keys[0]) else ("pose prior", "PosePrior")
-    if is_vertex(keys[0]):
-        return "wall", "WallDecision"
-    what, record = _WORDS[kind]
-    return f"{what} of a {'landmark' if is_landmark(keys[1]) else 'robot'}", record
 
 
 # ---- one function for each kind of factor ----
@@ -223,12 +202,4 @@ _MODELS: dict[type, Callable[..., Linearized | None]] = {
     gtsam.RangeFactorPose2: _range,
     gtsam.PriorFactorPose2: _pose_prior,
     gtsam.PriorFactorPoint2: _landmark_prior,
-}
-_WORDS = {
-    gtsam.BearingRangeFactor2D: ("bearing-range", "BearingRangeFix"),
-    gtsam.BearingRangeFactorPose2: ("bearing-range", "BearingRangeFix"),
-    gtsam.BearingFactor2D: ("bearing", "BearingFix"),
-    gtsam.BearingFactorPose2: ("bearing", "BearingFix"),
-    gtsam.RangeFactor2D: ("range", "RangeFix"),
-    gtsam.RangeFactorPose2: ("range", "RangeFix"),
 }

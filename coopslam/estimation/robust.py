@@ -107,7 +107,7 @@ class _Problem:
         self.accepted = np.arange(len(self.fixes) + len(refused)) < len(self.fixes)
         self.fixes += refused
         self._roots = [fix.noiseModel().R() for fix in self.fixes]
-        self.ordering = gtsam.Ordering.MetisNonlinearFactorGraph(self.graph(np.ones(len(self.fixes))))
+        self.ordering = nested_dissection(self.graph(np.ones(len(self.fixes))))
 
     def distances_sq(self, values: gtsam.Values) -> np.ndarray:
         """(N,) squared Mahalanobis distances of the fixes."""

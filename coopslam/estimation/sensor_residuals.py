@@ -20,6 +20,8 @@ FEWEST = 200  # residuals from which a size of noise is read
 WINDOWS_S = (2.0, 5.0, 10.0, 20.0)  # over which odometry is held against the trajectory
 _BINS = 12
 _MOST_LOST_S = 0.2  # a longer part of a window without odometry, and it says nothing
+_DEPTH_SHARE = 0.4  # of the bend that depths have
+_DOUBT_SIGMAS = 5.0
 _SIDEWAYS = CommandNoise().sideways  # too small to be read beside what a turning heading does
 
 
@@ -226,31 +228,32 @@ def _walk(errors: np.ndarray, done: np.ndarray) -> Walk:
 
 
 def looks_like_depth(sightings: Sequence[Sightings]) -> bool:
-    """Whether the ranges of these sightings are depths, by how they depend on the bearing.
+    """Whether what is called a range is the depth along the axis of the camera, by how it depends on the bearing.
 
-    Per robot ranges are fitted twice, as they are and divided by cos(bearing), each with its own offset and scale; the
-    smaller median deviation, over all robots, tells.
+    A reading z = offset + scale R + k R (cos b - 1) has k = scale when it is a depth and k = 0 when it is a range. A
+    trajectory that was solved from depths taken for ranges bends to them: k then comes out as 0.5 to 0.9 times that.
+    The median over the robots decides; where no robot shows it beyond doubt they are ranges.
     """
-    deviations = {True: [], False: []}
+    shares = []
     for one in sightings:
-        for is_depth, found in deviations.items():
-            measured = one.undepthed(is_depth)
-            own = np.isfinite(measured) & one.may_be_depth
-            if own.sum() >= FEWEST // 4:
-                found.append(np.abs(robust_line(one.range_m[own], measured[own])[1]))
-    if not deviations[True]:
-        return False
-    return bool(np.median(np.concatenate(deviations[True])) < np.median(np.concatenate(deviations[False])))
+        own = np.isfinite(one.raw_range_m) & one.may_be_depth
+        if own.sum() < FEWEST // 4:
+            continue
+        range_m, bend = one.range_m[own], np.cos(one.raw_bearing_rad[own]) - 1.0
+        columns = np.column_stack([np.ones(len(range_m)), range_m, range_m * bend])
+        found, sigmas = robust_fit(columns, one.raw_range_m[own])
+        shares.append(found[2] / found[1] if found[2] > _DOUBT_SIGMAS * sigmas[2] else 0.0)
+    return bool(shares) and bool(np.median(shares) > _DEPTH_SHARE)
 
 
-def robust_line(x: np.ndarray, y: np.ndarray, rounds: int = 20) -> tuple[np.ndarray, np.ndarray]:
-    """(offset, slope) of y over x by reweighted least squares, Cauchy loss, and (N,) deviations from it."""
-    columns = np.column_stack([np.ones(len(x)), x])
-    weights = np.ones(len(x))
+def robust_fit(columns: np.ndarray, y: np.ndarray, rounds: int = 30) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients of y over (N, k) columns and their standard deviations: reweighted least squares, Cauchy's loss."""
+    weights = np.ones(len(y))
     for _ in range(rounds):
         root = np.sqrt(weights)
-        line = np.linalg.lstsq(columns * root[:, None], y * root, rcond=None)[0]
-        deviations = y - columns @ line
-        scale = 2.385 * max(size(deviations), 1e-12)
-        weights = 1.0 / (1.0 + (deviations / scale) ** 2)
-    return line, deviations
+        found = np.linalg.lstsq(columns * root[:, None], y * root, rcond=None)[0]
+        deviations = y - columns @ found
+        spread = max(size(deviations), 1e-12)
+        weights = 1.0 / (1.0 + (deviations / (2.385 * spread)) ** 2)
+    information = (columns * weights[:, None]).T @ columns
+    return found, spread * np.sqrt(np.diag(np.linalg.pinv(information)))

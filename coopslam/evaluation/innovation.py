@@ -9,30 +9,17 @@ innovation is the miss before the measurement is used, normalized with its own c
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import gtsam
 import numpy as np
 from scipy.stats import chi2
 
 from coopslam.errors import BadInput
-from coopslam.estimation.keys import is_landmark, is_vertex, robot_index
+from coopslam.estimation.ekf_estimate import Innovation
+from coopslam.estimation.factor_kinds import kind_of
 from coopslam.evaluation.consistency import chi_square_band
 
-_SIGHTINGS = {
-    "bearing-range": (gtsam.BearingRangeFactor2D, gtsam.BearingRangeFactorPose2),
-    "range": (gtsam.RangeFactor2D, gtsam.RangeFactorPose2),
-    "bearing": (gtsam.BearingFactor2D, gtsam.BearingFactorPose2),
-}
 _QUANTILE = 0.95
-
-
-class Innovation(NamedTuple):
-    """What a filter tells of each measurement that it judged, refused ones included."""
-
-    kind: str
-    nis: float  # squared normalized innovation
-    dof: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,27 +96,6 @@ def expected_square(
     return factor.dim() + (1.0 - 2.0 * weight) * explained
 
 
-def kind_of(factor: gtsam.NonlinearFactor) -> str | None:
-    """What a factor measures, read off its type and its keys; None: no measurement of ours, as a marginalized past.
-
-    Two things look the same: a loop closure with another robot counts as `relative pose`, and one of a robot with its
-    last pose but one variable as `odometry`.  `pose prior` includes the one that fixes the gauge.
-    """
-    keys = factor.keys()
-    if isinstance(factor, gtsam.BetweenFactorPose2):
-        return _kind_of_relative_pose(*keys)
-    if isinstance(factor, gtsam.PriorFactorPose2):
-        return "pose prior"
-    if isinstance(factor, gtsam.PriorFactorPoint2):
-        return "landmark prior"
-    for kind, classes in _SIGHTINGS.items():
-        if isinstance(factor, classes):
-            if all(map(is_vertex, keys)):
-                return "wall"
-            return f"{kind} of a landmark" if is_landmark(keys[1]) else f"{kind} of a robot"
-    return None
-
-
 def innovation_statistics(
     innovations: Iterable[Innovation],
 ) -> dict[str, InnovationStatistics]:
@@ -152,14 +118,6 @@ def _innovation_statistics(nis: np.ndarray, dofs: np.ndarray) -> InnovationStati
     low, high = chi_square_band(dof, 1)
     beyond = float(np.mean(nis > chi2.ppf(_QUANTILE, dofs)))
     return InnovationStatistics(len(nis), dof, float(nis.sum()) / dof, (low / dof, high / dof), beyond)
-
-
-def _kind_of_relative_pose(first: int, second: int) -> str:
-    if is_vertex(second):
-        return "corner"
-    if robot_index(first) != robot_index(second):
-        return "relative pose"
-    return "odometry" if second - first == 1 else "loop closure"
 
 
 def _is_robust(noise: gtsam.noiseModel.Base) -> bool:
