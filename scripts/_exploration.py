@@ -24,7 +24,9 @@ from coopslam.estimation.estimate import Estimate, Estimator, Trajectory
 from coopslam.estimation.fixed_lag import FixedLag, FixedLagSettings
 from coopslam.estimation.gate import GateSettings
 from coopslam.estimation.incremental import Incremental, IncrementalSettings
-from coopslam.estimation.robust import RobustSettings, RobustSolution, solve_robust
+from coopslam.estimation.loss import Loss
+from coopslam.estimation.robust import RobustSettings, RobustSolution, is_tracker_fix, solve_robust
+from coopslam.estimation.timeline import TimelineSettings
 from coopslam.estimation.weighted import Weighted
 from coopslam.evaluation.exploration_score import ExplorationTruth
 from coopslam.exploration.explorer import Explorer, ExplorerSettings
@@ -38,7 +40,7 @@ from coopslam.report import figures, html
 from coopslam.report.run_directory import write_json
 from coopslam.report.run_view import RunView
 from coopslam.se2 import Pose2
-from sim.noise import PRESETS, FalseSightings, Noise, OdometryBias
+from sim.noise import PRESETS, TRACKERS, FalseSightings, Noise, OdometryBias, TrackerLimits, preset
 from sim.sensors import Sensors
 from sim.team import Team, TeamSettings, Truth
 from sim.world import World, load_world, world_names
@@ -65,10 +67,12 @@ class ExplorationSettings:
     world: str = "paper_one_obstacle"
     seed: int = 0
     noise: Literal["none", "typical", "legged"] = "typical"
+    tracker_preset: Literal["helix", "retroreflector", "laser-stripe"] = "helix"
     estimator: Literal["incremental", "fixed-lag", "ekf", "weighted", "dead-reckoning", "batch"] = "incremental"
     figures: Literal["none", "static", "all"] = "static"
     true_noise: Noise | None = None  # instead of the preset's
     believed_noise: Noise | None = None
+    tracker_limits: TrackerLimits | None = None
     bias: OdometryBias = field(default_factory=OdometryBias)
     false_sightings: FalseSightings = field(default_factory=FalseSightings)
     team: TeamSettings = field(default_factory=TeamSettings)
@@ -86,20 +90,28 @@ class ExplorationSettings:
 
     def resolved(self) -> "ExplorationSettings":
         """The same with the noise spelled out. Raises BadInput when a belief leaves no room for doubt."""
-        true, believed = PRESETS[self.noise]
+        true, believed = preset(self.noise, self.tracker_preset)
         true, believed = self.true_noise or true, self.believed_noise or believed
+        limits = self.tracker_limits or TRACKERS[self.tracker_preset][1]
         for part in fields(believed):
             for key, sigma in to_mapping(getattr(believed, part.name)).items():
                 if not sigma > 0:
                     raise BadInput(f"believed_noise.{part.name}.{key}: more than zero expected, got {sigma}")
-        return replace(self, true_noise=true, believed_noise=believed)
+        return replace(self, true_noise=true, believed_noise=believed, tracker_limits=limits)
+
+    def with_tracker(self, name: str) -> "ExplorationSettings":
+        """The same with another preset of the robot tracker, also where the noise is spelled out."""
+        sigmas, limits = TRACKERS[name]
+        noise = {key: getattr(self, key) for key in ("true_noise", "believed_noise")}
+        noise = {key: replace(law, tracker=sigmas) for key, law in noise.items() if law is not None}
+        return replace(self, tracker_preset=name, tracker_limits=limits, **noise)
 
     @property
     def noise_name(self) -> str:
         """The preset that the noise in force equals, or "custom"."""
-        true, believed = PRESETS[self.noise]
+        true, believed = preset(self.noise, self.tracker_preset)
         in_force = (self.true_noise or true, self.believed_noise or believed)
-        return next((name for name, preset in PRESETS.items() if preset == in_force), "custom")
+        return next((name for name in PRESETS if preset(name, self.tracker_preset) == in_force), "custom")
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,17 +181,31 @@ def prepare(settings: ExplorationSettings) -> Prepared:
     if settings.world not in world_names():
         settings = replace(settings, world=str(Path(settings.world).absolute()))  # config.toml is read from anywhere
     rng = np.random.default_rng(settings.seed)
-    sensors = Sensors(settings.true_noise, settings.believed_noise, rng, settings.bias, settings.false_sightings)
+    sensors = Sensors(
+        settings.true_noise,
+        settings.believed_noise,
+        rng,
+        settings.bias,
+        settings.false_sightings,
+        settings.tracker_limits,
+    )
     team = Team(world, sensors, settings.team)
     robots = settings.team.robots
     return Prepared(settings, world, team, _driver(settings), Explorer(robots, settings.explorer))
 
 
 def _driver(settings: ExplorationSettings) -> Estimator:
-    """The estimator that the team steers by."""
+    """The estimator that the team steers by.
+
+    The gate judges sightings with heading. False ones without are met by smoothers with a robust loss, by the filters
+    with a gate of their own.
+    """
+    may_be_false = settings.false_sightings.outliers > 0 and not settings.tracker_limits.has_heading
+    timeline = TimelineSettings(loss=Loss("cauchy")) if may_be_false else None
     own = {
-        "incremental": {"settings": settings.incremental},
-        "fixed-lag": {"settings": settings.fixed_lag},
+        "incremental": {"settings": settings.incremental, "timeline": timeline},
+        "fixed-lag": {"settings": settings.fixed_lag, "timeline": timeline},
+        "batch": {"timeline": timeline},
         "ekf": {"settings": settings.ekf},
         "weighted": {"settings": settings.ekf},
     }.get(settings.estimator, {})
@@ -269,7 +295,7 @@ def _smooth(run: Exploration, records: list[Record]) -> None:
 
 def _solution(driver: Estimator, robots: tuple[str, ...], settings: RobustSettings) -> RobustSolution:
     """Everything smoothed at once. Without a limit there is no deciding again: what the gate refused stays out."""
-    refused = driver.timeline.refused
+    refused = [factor for factor in driver.timeline.refused if is_tracker_fix(factor)]
     if isinf(settings.distance_sq_max):
         plain = solve_robust(driver.graph, (), driver.values(), robots, settings)
         return replace(plain, outliers=list(refused))

@@ -1,5 +1,6 @@
 """Open a recording, run estimators over it, and keep what each of them made of it."""
 
+import runpy
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -7,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 from _calibration import CalibrateSettings, calibrate_itself, part_of
 
 from coopslam.errors import BadInput, CoopSlamError, require_between
@@ -16,7 +18,7 @@ from coopslam.estimation.rebuilt_graph import Solution
 from coopslam.estimation.replay import Replay
 from coopslam.estimation.self_calibration import smooth_calibrated
 from coopslam.estimation.synchronize import synchronized
-from coopslam.io.log import Log, Truth
+from coopslam.io.log import Log, LogSource, Truth
 from coopslam.io.mrclam import MrclamSettings, MrclamSource
 from coopslam.io.sources import open_log
 from coopslam.records import LandmarkPrior, LogHeader, PointFix, Record, RelativePoseFix
@@ -28,6 +30,7 @@ class ReplaySettings:
 
     ignore: Literal["nothing", "landmarks", "robots"] = "nothing"  # sightings of these are not used
     figures: Literal["none", "static"] = "static"
+    source: str = ""  # FILE.py:CLASS of a reader of one's own; empty: what the log looks like decides
     from_s: float = 0.0  # the part of the log that is used, s after its start
     to_s: float | None = None  # None: to its end
     calibrate: bool = False  # let the log calibrate its own sensors, without truth
@@ -91,10 +94,10 @@ def open_recording(path: Path, settings: ReplaySettings, tell: Callable[[str], N
     Raises BadInput for what cannot be used, or when nothing is in it, and what `self_calibrate` raises.
     """
     began = time.perf_counter()
-    source = open_log(path)
+    source = own_source(settings.source, path) if settings.source else open_log(path)
     if isinstance(source, MrclamSource):
         source = MrclamSource(path, settings.mrclam)
-    log = source.read()
+    log = _in_random_order(source.read(), settings.estimation.timeline.random_start)
     log = replace(log, records=part_of(log.records, settings.from_s, settings.to_s, str(path)))
     raw = without_ignored(log.records, log.header, settings.ignore)
     if not raw:
@@ -110,6 +113,25 @@ def open_recording(path: Path, settings: ReplaySettings, tell: Callable[[str], N
     records, truth = synchronized(raw), source.truth()
     load_seconds = time.perf_counter() - began - (seconds or 0.0)
     return Recording(path, log, records, truth, load_seconds, ignored, calibration, solution, seconds)
+
+
+def own_source(name: str, path: Path) -> LogSource:
+    """A reader that somebody wrote for a format of their own: FILE.py:CLASS. Raises BadInput when there is none."""
+    file, _, name_of_class = name.rpartition(":")
+    if not file or not Path(file).is_file():
+        raise BadInput(f"--source {name}: FILE.py:CLASS of a file that exists expected")
+    module = runpy.run_path(file)
+    if name_of_class not in module:
+        raise BadInput(f"--source {name}: {file} has no {name_of_class}")
+    return module[name_of_class](path)
+
+
+def _in_random_order(log: Log, seed: int | None) -> Log:
+    """The log with its robots in another order: the first one's start is the origin of the estimate."""
+    if seed is None:
+        return log
+    robots = tuple(np.random.default_rng(seed).permutation(log.header.robots).tolist())
+    return replace(log, header=replace(log.header, robots=robots))
 
 
 def without_ignored(records: Sequence[Record], header: LogHeader, ignore: str) -> list[Record]:

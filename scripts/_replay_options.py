@@ -30,6 +30,15 @@ def add_replay_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--period", metavar="S", type=float, help="shortest time between two updates, s; default: 0.25")
     parser.add_argument("--figures", choices=["none", "static"], help="default: static")
+    parser.add_argument(
+        "--source", metavar="FILE.py:CLASS", help="read LOG with a LogSource of your own: CLASS(path) in a Python file"
+    )
+    parser.add_argument(
+        "--random-start",
+        metavar="SEED",
+        type=int,
+        help="guess the robots anywhere at first, and tell everything in the frame of a random one",
+    )
     add_part_options(parser)
     calibration = parser.add_mutually_exclusive_group()
     calibration.add_argument(
@@ -61,13 +70,16 @@ def replay_settings(options: argparse.Namespace) -> ReplaySettings:
     named |= {"calibrate": True} if options.calibrate else {}
     given = named | {
         name: getattr(options, name)
-        for name in ("ignore", "figures", "from_s", "to_s")
+        for name in ("ignore", "figures", "source", "from_s", "to_s")
         if getattr(options, name) is not None
     }
     settings, estimation = replace(settings, **given), settings.estimation
     if options.loss is not None:
         loss = replace(estimation.timeline.loss, kind=options.loss)
         estimation = replace(estimation, timeline=replace(estimation.timeline, loss=loss))
+    if options.random_start is not None:
+        timeline = replace(estimation.timeline, random_start=options.random_start)
+        estimation = replace(estimation, timeline=timeline)
     if options.period is not None:
         estimation = replace(estimation, period_s=options.period)
     return replace(settings, estimation=estimation)

@@ -8,11 +8,13 @@ from _calibration import write_calibration
 from _replay import Outcome, Recording
 
 from coopslam.estimation.estimate import Trajectory
+from coopslam.estimation.pose_variables import STAMP_TOLERANCE_S
 from coopslam.estimation.replay import Replay
 from coopslam.evaluation.replay_score import ReplayScore, score_replay
 from coopslam.evaluation.trajectory_error import PoseErrors, TeamErrors
 from coopslam.io.geojson import feature, write_feature_collection
 from coopslam.io.tum import write_tum
+from coopslam.records import MoveNote
 from coopslam.report.comparison_view import ComparisonView, EstimatorView, RobotErrors
 from coopslam.se2 import Pose2, largest_sigma, position, rotation
 
@@ -123,7 +125,21 @@ def _estimator(recording: Recording, outcome: Outcome, score: ReplayScore | None
         {name: turn @ belief.cov @ turn.T for name, belief in beliefs.items()},
         outcome.replay.latencies_s if causal_updates else np.zeros(0),
         outcome.replay.poses if causal_updates else np.zeros(0),
+        _exchange_errors(recording, score.errors),
     )
+
+
+def _exchange_errors(recording: Recording, errors: TeamErrors | None) -> np.ndarray:
+    """(E,) m, of the robot that drove, at the end of the last leg before each exchange of roles."""
+    found, last = [], None
+    for move in (record for record in recording.records if isinstance(record, MoveNote)):
+        if errors is not None and last is not None and move.robot != last.robot and last.robot in errors.robots:
+            own = errors.robots[last.robot]
+            number = int(np.searchsorted(own.stamps_s, last.stamp_s + STAMP_TOLERANCE_S)) - 1
+            if number >= 0:
+                found.append(own.position_errors_m[number])
+        last = move
+    return np.array(found)
 
 
 def _robots(

@@ -37,7 +37,7 @@ from coopslam.report.figures import drawn_in
 from coopslam.report.run_directory import fresh_directory, prepare_run_directory
 from coopslam.report.run_view import RunView
 from coopslam.report.video import mp4_is_possible
-from sim.noise import MOST_FALSE, PRESETS
+from sim.noise import MOST_FALSE, PRESETS, TRACKERS
 from sim.team_settings import MOST_ROBOTS
 from sim.world import world_names
 
@@ -91,6 +91,13 @@ def _parser() -> OneLineParser:
         "or legged (odometry nearly absent)",
     )
     parser.add_argument(
+        "--tracker-preset",
+        metavar="T",
+        choices=[*TRACKERS],
+        help="how the robots see each other: helix (default), retroreflector (range and bearing, no heading, up to "
+        "30 m) or laser-stripe (precise, up to 4 m)",
+    )
+    parser.add_argument(
         "--estimator", metavar="E", choices=[*DRIVERS], help=f"that steers: {', '.join(DRIVERS)}; default: incremental"
     )
     parser.add_argument(
@@ -132,6 +139,8 @@ def _settings(options) -> ExplorationSettings:
     settings = replace(settings, **{name: value for name, value in given.items() if value is not None})
     if options.noise is not None:
         settings = replace(settings, true_noise=None, believed_noise=None)
+    if options.tracker_preset is not None:
+        settings = settings.with_tracker(options.tracker_preset)
     budget = {"moves": options.max_moves, "travel_m": options.max_travel}
     budget = {name: value for name, value in budget.items() if value is not None}
     settings = replace(settings, budget=replace(settings.budget, **budget))

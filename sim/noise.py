@@ -4,8 +4,8 @@ Odometry noise is a random walk, so it does not depend on the sampling rate. The
 those of the paper's section 4: 3 cm after 1 m, 2 degrees of drift after 1 m, 3 degrees after a full turn.
 """
 
-from dataclasses import dataclass, field, fields
-from math import radians
+from dataclasses import dataclass, field, fields, replace
+from math import inf, radians
 
 import numpy as np
 
@@ -69,6 +69,18 @@ class TrackerNoise(_Sigmas):
 
 
 @dataclass(frozen=True, slots=True)
+class TrackerLimits:
+    """What the robot tracker cannot do, however well it measures."""
+
+    max_range_m: float = field(default=inf, metadata={"infinite": True})  # farther away it sees nobody
+    has_heading: bool = True  # without, a sighting is a bearing and a range
+
+    def __post_init__(self):
+        if not self.max_range_m > 0:
+            raise BadInput(f"max_range_m: more than zero expected, got {self.max_range_m}")
+
+
+@dataclass(frozen=True, slots=True)
 class FinderNoise(_Sigmas):
     """The short-range corner finder."""
 
@@ -83,12 +95,25 @@ class FinderNoise(_Sigmas):
 
 
 @dataclass(frozen=True, slots=True)
+class PlacingNoise(_Sigmas):
+    """How well people set the robots up at the start: one in a corner, the others a step along its wall."""
+
+    position_sigma_m: float = 0.02
+    heading_sigma_rad: float = radians(2.0)
+
+    def covariance(self) -> np.ndarray:
+        """(3, 3) covariance of (x, y, heading) of one robot relative to the first."""
+        return np.diag([self.position_sigma_m**2, self.position_sigma_m**2, self.heading_sigma_rad**2])
+
+
+@dataclass(frozen=True, slots=True)
 class Noise:
     """One law for every sensor."""
 
     odometry: OdometryNoise = field(default_factory=OdometryNoise)
     tracker: TrackerNoise = field(default_factory=TrackerNoise)
     finder: FinderNoise = field(default_factory=FinderNoise)
+    placing: PlacingNoise = field(default_factory=PlacingNoise)  # matters only to a tracker without heading
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,10 +161,31 @@ class FalseSightings:
 
 
 TYPICAL = Noise()
-EXACT = Noise(OdometryNoise(0, 0, 0, 0), TrackerNoise(0, 0, 0, 0, 0), FinderNoise(0, 0, 0))
+EXACT = Noise(OdometryNoise(0, 0, 0, 0), TrackerNoise(0, 0, 0, 0, 0), FinderNoise(0, 0, 0), PlacingNoise(0, 0))
 NEARLY_EXACT = Noise(
-    OdometryNoise(1e-6, 1e-6, 1e-6, 1e-6), TrackerNoise(1e-6, 1e-6, 1e-6, 1e-6, 1e-6), FinderNoise(1e-6, 1e-6, 1e-6)
+    OdometryNoise(1e-6, 1e-6, 1e-6, 1e-6),
+    TrackerNoise(1e-6, 1e-6, 1e-6, 1e-6, 1e-6),
+    FinderNoise(1e-6, 1e-6, 1e-6),
+    PlacingNoise(1e-6, 1e-6),
 )
 LEGGED = Noise(odometry=OdometryNoise(0.30, radians(10.0), radians(20.0)))
 
 PRESETS = {"none": (EXACT, NEARLY_EXACT), "typical": (TYPICAL, TYPICAL), "legged": (LEGGED, LEGGED)}  # (true, believed)
+
+# The paper's section 2.1 names these three. The values of the last two are typical of such devices, not measured ones:
+# a range finder that turns and meets a retroreflector; a laser stripe that a camera of the same robot looks at, whose
+# range error would grow with the square of the range beyond its limit.
+TRACKERS = {
+    "helix": (TrackerNoise(), TrackerLimits()),
+    "retroreflector": (TrackerNoise(0.01, 0.001, 0.005, radians(0.25)), TrackerLimits(30.0, has_heading=False)),
+    "laser-stripe": (TrackerNoise(0.002, 0.003, 0.002, radians(0.1), radians(1.0)), TrackerLimits(4.0)),
+}
+
+
+def preset(noise: str, tracker: str = "helix") -> tuple[Noise, Noise]:
+    """(true, believed) noise of a preset with one of the trackers; without noise every tracker is exact."""
+    true, believed = PRESETS[noise]
+    if noise == "none":
+        return true, believed
+    sigmas, _ = TRACKERS[tracker]
+    return replace(true, tracker=sigmas), replace(believed, tracker=sigmas)

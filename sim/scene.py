@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 
 from coopslam.errors import BadInput
-from coopslam.records import CornerSighting, RelativePoseFix
+from coopslam.records import BearingRangeFix, CornerSighting, PosePrior, RelativePoseFix
 from coopslam.se2 import Pose2
 from sim.sensors import Sensors
 from sim.sight import Sight
@@ -16,6 +16,8 @@ from sim.world import World
 
 ROUNDS_TO_VOTE = 5  # of looks at the start, when some may be false: only they place the other robots
 MOST_ROUNDS = 100
+
+Fix = RelativePoseFix | BearingRangeFix
 
 
 @dataclass(slots=True)
@@ -45,7 +47,15 @@ class Scene:
         """Let the truth know where a robot is now."""
         self.truth.note(robot, self.time_s, self.bodies[robot].pose)
 
-    def first_fixes(self) -> list[RelativePoseFix]:
+    def placings(self) -> list[PosePrior]:
+        """How the team was set up, where that is all that tells which way each robot looks."""
+        if self.sensors.tracker_limits.has_heading:
+            return []
+        first, *others = self.settings.robots
+        start = self.bodies[first].pose
+        return [self.sensors.placing(self.time_s, robot, start.between(self.bodies[robot].pose)) for robot in others]
+
+    def first_fixes(self) -> list[Fix]:
         """Everybody looks at everybody else, until each has seen each other: standing at one wall, all are in view.
 
         Looks that may be false are repeated, a sighting period apart each.
@@ -63,7 +73,7 @@ class Scene:
             missing -= {(fix.observer, fix.target) for fix in fixes}
         return fixes
 
-    def fixes_of(self, robot: str, watcher: str | None) -> list[RelativePoseFix]:
+    def fixes_of(self, robot: str, watcher: str | None) -> list[Fix]:
         """A robot and those who see it look at each other.
 
         watcher: is known to see it, also where rounding might say otherwise; None: nobody is.
@@ -75,7 +85,7 @@ class Scene:
                 fixes += self.mutual_fixes(other, robot)
         return fixes
 
-    def mutual_fixes(self, one: str, other: str) -> list[RelativePoseFix]:
+    def mutual_fixes(self, one: str, other: str) -> list[Fix]:
         """Each robot's tracker looks at the other, which is in view."""
         if self._too_close(one, other):
             return []

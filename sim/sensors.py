@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from coopslam.records import CornerSighting, Odometry, RelativePoseFix
+from coopslam.records import BearingRangeFix, CornerSighting, Odometry, PosePrior, RelativePoseFix
 from coopslam.se2 import Pose2, planar_rotation, xytheta
-from sim.noise import FalseSightings, FinderNoise, Noise, OdometryBias, TrackerNoise
+from sim.noise import FalseSightings, FinderNoise, Noise, OdometryBias, TrackerLimits, TrackerNoise
 
 DETOUR_M = 0.3  # by so much at least the way over a mirror is longer than the straight one
 LONGEST_DETOUR = 3.0  # times the straight way
@@ -22,6 +22,7 @@ class Sensors:
     rng: np.random.Generator
     bias: OdometryBias = field(default_factory=OdometryBias)
     false_sightings: FalseSightings = field(default_factory=FalseSightings)
+    tracker_limits: TrackerLimits = field(default_factory=TrackerLimits)
 
     def odometry(
         self,
@@ -49,17 +50,35 @@ class Sensors:
 
     def relative_pose(
         self, stamp_s: float, observer: str, target: str, T_observer_target: Pose2
-    ) -> RelativePoseFix | None:
-        """What the tracker of `observer` says of `target`; None when it drops out. It may be a reflection."""
-        shown, false = T_observer_target, self.false_sightings
+    ) -> RelativePoseFix | BearingRangeFix | None:
+        """What the tracker of `observer` says of `target`; None when it drops out. It may be a reflection.
+
+        A tracker without heading says where the target is and not how it stands; beyond its range it says nothing.
+        """
+        shown, false, limits = T_observer_target, self.false_sightings, self.tracker_limits
         if false.share > 0:
             chance = self.rng.random()
             if chance < false.dropouts:
                 return None
             if chance < false.share:
                 shown = self._reflection(T_observer_target)
+        if shown.range(np.zeros(2)) > limits.max_range_m:
+            return None
         measured, cov = self._sighted(shown, self.true.tracker, self.believed.tracker)
-        return RelativePoseFix(stamp_s, observer, target, measured, cov)
+        if limits.has_heading:
+            return RelativePoseFix(stamp_s, observer, target, measured, cov)
+        x, y, _ = xytheta(measured)
+        range_m = float(np.hypot(x, y))
+        if range_m <= IN_PLACE_M:
+            return None
+        along, across, _ = np.diag(self.believed.tracker.line_covariance(range_m))
+        cov = np.diag([across / range_m**2, along])
+        return BearingRangeFix(stamp_s, observer, target, float(np.arctan2(y, x)), range_m, cov)
+
+    def placing(self, stamp_s: float, robot: str, T_start_robot: Pose2) -> PosePrior:
+        """How the team was set up: where a robot was put, as seen from the start pose of the first robot."""
+        put = T_start_robot * Pose2(*self._draw(self.true.placing.covariance()))
+        return PosePrior(stamp_s, robot, put, self.believed.placing.covariance())
 
     def corner(
         self, stamp_s: float, observer: str, T_observer_corner: Pose2, interior_angle_rad: float

@@ -40,13 +40,17 @@ class Team:
         return self._scene.time_s
 
     def begin(self) -> Step:
-        """What the robots sense before the first move: each other, and the first robot its corner."""
+        """What the robots sense before the first move: each other, and the first robot its corner.
+
+        Trackers without heading cannot tell which way the other robots look: then how the team was set up says so.
+        """
         for robot in self.settings.robots:
             self._scene.note_truth(robot)
         first = self.settings.robots[0]
         corner = self._scene.sight_corner(first, self._bodies[first].corner)
+        placings = self._scene.placings()
         fixes = self._scene.first_fixes()
-        return Step(self.time_s, (corner, *fixes), MoveEnd.CORNER)
+        return Step(self.time_s, (corner, *placings, *fixes), MoveEnd.CORNER)
 
     def execute(self, move: Move) -> Step:
         """Execute one move. Raises BadMove when it makes no sense where the robot stands.
@@ -203,14 +207,25 @@ class Team:
             bearing = watcher.heading + move.watch_for_rad - self.sensors.bearing_error()
             seen = _bearing_crossing(watcher, body.position, target, bearing)
         if lost is not None and (seen is None or lost <= seen):
-            return self._driver.execute(_cut_short(there, body, lost, MoveEnd.CONTACT))
+            return self._within_reach(_cut_short(there, body, lost, MoveEnd.CONTACT))
         if seen is not None:
-            return self._driver.execute(_cut_short(there, body, seen, MoveEnd.BEARING))
-        return self._driver.execute(there)
+            return self._within_reach(_cut_short(there, body, seen, MoveEnd.BEARING))
+        return self._within_reach(there)
 
     def _drive(self, move, target, ended: MoveEnd, corner: int | None = None, wall: int | None = None) -> Step:
         """Drive straight to a place along the line of contact."""
-        return self._driver.execute(Drive(move.robot, move.watcher, target, ended, corner, wall))
+        return self._within_reach(Drive(move.robot, move.watcher, target, ended, corner, wall))
+
+    def _within_reach(self, drive: Drive) -> Step:
+        """Execute a drive in contact. Raises BadMove when it leads out of the tracker's reach, or begins there."""
+        reach, watcher = self.sensors.tracker_limits.max_range_m, self._bodies[drive.watcher].position
+        apart = max(float(np.hypot(*(place - watcher))) for place in (self._bodies[drive.robot].position, drive.target))
+        if apart > reach:
+            raise BadMove(
+                f"contact lost because of distance: {drive.robot} would be {apart:.1f} m from {drive.watcher}, "
+                f"and the tracker reaches {reach:g} m"
+            )
+        return self._driver.execute(drive)
 
     def _end_at(self, move, corner: int) -> MoveEnd:
         return MoveEnd.PARTNER if self._bodies[move.watcher].corner == corner else MoveEnd.CORNER

@@ -10,6 +10,7 @@ from coopslam.se2 import Pose2, wrap
 STEP_S = 0.1
 STEP_SIGMAS = np.array([1.5e-3, 0.5e-3, 2e-3])  # m, m, rad of true motion, at the end of each step
 RANGE_SIGMA_M, BEARING_SIGMA_RAD = 0.02, 0.01
+CLAIMED_SIGMAS = (0.03, 0.15)  # bearing, range: what the records say, of cameras that are not calibrated
 TRACKER_SIGMAS = np.array([0.01, 0.01, 0.01])  # x, y, heading
 HALF_VIEW_RAD = 0.6
 
@@ -73,7 +74,7 @@ def _drive(world, robot, wrong, steps, number, rng) -> None:
     _, _, _, scale, turn_scale, creep, drift, delay = wrong
     poses = [Pose2(*rng.uniform(-2, 2, 2), rng.uniform(-np.pi, np.pi))]
     for k in range(steps):
-        phase = (k // 30 + number) % 4  # 3 s each: straight, left or right on the spot, a curve, a stop
+        phase = (k // 37 + number) % 4  # 3.7 s each: straight, left or right on the spot, a curve, a stop
         outward = poses[-1].bearing(np.zeros(2)).theta()
         side = np.sign(outward) if outward else 1.0
         told = ((0.3, 0.0), (0.0, 0.5 * side), (0.25, 0.4 * side), (0.0, 0.0))[phase]
@@ -109,5 +110,5 @@ def _look(world, robot, wrong, k, is_depth, tracker, rng) -> None:
         read = float(wrap(bearing + bearing_offset + BEARING_SIGMA_RAD * rng.standard_normal()))
         measured = scale * (range_m + RANGE_SIGMA_M * rng.standard_normal()) + offset
         measured *= np.cos(read) if is_depth else 1.0
-        cov = np.diag([BEARING_SIGMA_RAD**2, RANGE_SIGMA_M**2])
+        cov = np.diag(np.square(CLAIMED_SIGMAS))
         world.records.append(BearingRangeFix(stamp, robot, target, read, float(measured), cov))

@@ -230,10 +230,10 @@ def test_the_window_stays_bounded_over_a_long_run():
     for group in groups:
         estimator.update(group)
         sizes.append(estimator.window_size)
-        factors.append(len(estimator._factors))
+        factors.append(len(estimator._window.factors))
     assert max(sizes) == sizes[-1] == 3 + 2 * 6  # posts; of each robot the poses of 0 to 5 s ago
     assert max(factors[100:]) == max(factors[:100])
-    assert len(estimator._prior.chart.keys) <= 3 + 2
+    assert len(estimator._window.prior.chart.keys) <= 3 + 2
     assert estimator.values().size() == len(estimator.timeline.stamps) + 3
 
 
@@ -243,7 +243,7 @@ def test_poses_that_left_are_told_as_they_were_and_have_no_joint_covariance():
     for group in leapfrog(np.random.default_rng(7), legs=20).groups:
         estimate = estimator.update(group)
         if key in estimator.timeline.stamps:
-            told = inside if estimator._window.exists(key) else outside
+            told = inside if estimator._window.values.exists(key) else outside
             told.append((estimate.value(key), estimate.covariance(key)))
     assert len(inside) >= 2 and len(outside) > 10
     assert difference(inside[0][0], outside[0][0]) > 1e-4  # smoothed, and then never again

@@ -11,6 +11,7 @@ from coopslam.estimation import graph_check
 from coopslam.estimation.covariances import Covariances
 from coopslam.estimation.estimate import Estimate
 from coopslam.estimation.gate import Gate, GateSettings
+from coopslam.estimation.ordering import nested_dissection
 from coopslam.estimation.timeline import Timeline, TimelineSettings
 from coopslam.records import Record
 from coopslam.se2 import Pose2
@@ -44,8 +45,8 @@ def optimize(
 ) -> gtsam.Values:
     """Levenberg-Marquardt without a check of the graph.
 
-    ordering: of the variables, for graphs of one structure that are solved again and again; METIS without one,
-    because COLAMD overflows the stack on long chains.  iterations: at most so many with each linear solver.
+    ordering: of the variables, for graphs of one structure that are solved again and again; `nested_dissection`
+    without one.  iterations: at most so many with each linear solver.
     Cholesky goes most of the way and QR, half as fast, the last step or all that is left: GTSAM's Cholesky takes a
     sigma 4 096 times another for an open direction. So it is always QR that finds nothing left to gain.
     """

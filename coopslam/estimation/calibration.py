@@ -122,7 +122,7 @@ def calibrated(
         robots.add(record.observer)
         fix = mend(record, constants(record.observer), calibration)
         if fix is None:
-            dropped[f"{type(record).__name__}: less than zero after calibration"] += 1
+            dropped[f"{type(record).__name__}: range less than zero after calibration"] += 1
         else:
             done.append(fix)
     for robot in sorted(robots - calibration.robots.keys()) if calibration.robots else ():

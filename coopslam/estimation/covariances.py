@@ -13,6 +13,7 @@ import numpy as np
 
 from coopslam.errors import UnderDetermined
 from coopslam.estimation.graph_check import in_words
+from coopslam.estimation.ordering import nested_dissection
 
 _SINGULAR = 1e-14  # of the largest diagonal element of the square root: what rounding leaves of a zero
 
@@ -30,13 +31,23 @@ class Covariances:
     """The linearized graph, eliminated once. Its methods raise UnderDetermined where nothing ties a variable down."""
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, robots: Sequence[str] = ()):
-        linear = graph.linearize(values)
-        ordering = nested_dissection(linear)
         self._graph, self._values, self._robots = graph, values, robots
+        self._eliminate(graph.linearize(values))
+
+    @classmethod
+    def of_linear(cls, linear: gtsam.GaussianFactorGraph, robots: Sequence[str] = ()) -> "Covariances":
+        """Those of a graph that is linear already."""
+        covariances = cls.__new__(cls)
+        covariances._graph, covariances._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        covariances._robots = robots
+        covariances._eliminate(linear)
+        return covariances
+
+    def _eliminate(self, linear: gtsam.GaussianFactorGraph) -> None:
         try:
-            self._net = linear.eliminateSequential(ordering, gtsam.EliminateQR)
+            self._net = linear.eliminateSequential(nested_dissection(linear), gtsam.EliminateQR)
         except RuntimeError as error:
-            raise in_words(error, graph, values, robots) from error
+            raise in_words(error, self._graph, self._values, self._robots) from error
         self._place, self._scale = {}, 0.0
         for i in range(self._net.size()):
             conditional = self._net.at(i)
@@ -44,6 +55,11 @@ class Covariances:
             self._scale = max(self._scale, float(np.abs(conditional.R().diagonal()).max()))
         self._conditionals: dict[int, _Conditional] = {}
         self._families: dict[int, tuple[np.ndarray, dict[int, slice]]] = {}
+
+    def require_all(self) -> None:
+        """Raises UnderDetermined when any variable is not tied down: elimination may pass over an open direction."""
+        for place in range(self._net.size()):
+            self._conditional(place)
 
     def marginal(self, key: int) -> np.ndarray:
         """(d, d) covariance of a variable in its own axes."""

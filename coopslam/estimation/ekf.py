@@ -45,7 +45,9 @@ from coopslam.se2 import Pose2, chain_covariance, xytheta
 TOO_LATE = "older than the filter's state"
 REFUSED = "beyond the gate"
 SINGULAR = "observer and target coincide"
-_JUDGED_BEFORE = frozenset({"RelativePoseFix", "CornerDecision", "WallDecision"})  # by `gate`, and by the team that decided
+_JUDGED_BEFORE = frozenset(
+    {"RelativePoseFix", "CornerDecision", "WallDecision"}
+)  # by `gate`, and by the team that decided
 _ORIGIN = pose_key(0, 0)
 
 
@@ -287,12 +289,12 @@ class Ekf:
         across, spread = self._state.spread(rows, model.jacobians)
         S = spread + noise_covariance(factor)
         S_inverse = np.linalg.inv(S)
-        if not self._is_credible(factor, keys, float(model.miss @ S_inverse @ model.miss), len(model.miss)):
+        if not self._is_credible(factor, float(model.miss @ S_inverse @ model.miss), len(model.miss)):
             return False
         self._state.correct(across, S, S_inverse, model.miss)
         return True
 
-    def _is_credible(self, factor: gtsam.NoiseModelFactor, keys: Sequence[int], nis: float, dof: int) -> bool:
+    def _is_credible(self, factor: gtsam.NoiseModelFactor, nis: float, dof: int) -> bool:
         """Judge an innovation, and keep it; one that is refused is counted, and may be looked at again."""
         innovation = Innovation(kind_of(factor), nis, dof)
         self.innovations.append(innovation)

@@ -57,7 +57,8 @@ def record_kind(factor: gtsam.NonlinearFactor, timeline: Timeline) -> str:
     kind = kind_of(factor)
     if kind != "relative pose":
         return _RECORDS[kind.partition(" of a ")[0]]
-    (since_a, until_a), (since_b, until_b) = (_stay(key, timeline) for key in factor.keys())
+    first, second = factor.keys()
+    (since_a, until_a), (since_b, until_b) = _stay(first, timeline), _stay(second, timeline)
     together = max(since_a, since_b) <= min(until_a, until_b)
     return "RelativePoseFix" if together and timeline.used["RelativePoseFix"] else "LoopClosure"
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import gtsam
+import numpy as np
 
 from coopslam.errors import UnderDetermined, require_between
 from coopslam.estimation import deep_stack
@@ -84,11 +85,20 @@ def _best_start(graph: gtsam.NonlinearFactorGraph, causal: gtsam.Values) -> gtsa
     if size > _LAGO_MOST or not all(isinstance(graph.at(i), _RELATIVE_POSES) for i in range(graph.size())):
         return causal
     try:
-        linear = deep_stack.call(gtsam.lago.initialize, graph, False, variables=size)
+        linear = deep_stack.call(gtsam.lago.initialize, _with_diagonal_noise(graph), False, variables=size)
     except RuntimeError:
         return causal
     complete = linear.size() == size and all(map(linear.exists, causal.keys()))
     return linear if complete and graph.error(linear) < graph.error(causal) else causal
+
+
+def _with_diagonal_noise(graph: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
+    """The factors without their correlations, which lago refuses."""
+    diagonal = gtsam.NonlinearFactorGraph()
+    for factor in map(graph.at, range(graph.size())):
+        variances = np.diag(factor.noiseModel().covariance())
+        diagonal.push_back(factor.cloneWithNewNoiseModel(gtsam.noiseModel.Diagonal.Variances(variances)))
+    return diagonal
 
 
 def require_connected(timeline: Timeline) -> None:

@@ -1,6 +1,6 @@
 """The graph of records that have changed a little, started from the last solution: no search for where robots are."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -14,8 +14,8 @@ from coopslam.estimation.replay import in_groups
 from coopslam.estimation.robust import is_tracker_fix
 from coopslam.estimation.sensor_residuals import Course, Sightings, sightings_of
 from coopslam.estimation.timeline import Timeline, TimelineSettings
-from coopslam.estimation.tracks import Edge
-from coopslam.records import Record
+from coopslam.estimation.tracks import Edge, Growth
+from coopslam.records import LandmarkPrior, Odometry, PosePrior, Record
 from coopslam.se2 import Pose2
 
 _GROUP_S = 10.0  # records that a timeline takes at once
@@ -81,23 +81,66 @@ def rebuilt(
     robust_fixes: relative pose fixes get the loss of the other sightings; without, they are left to `solve_robust`.
     Raises UnderDetermined when nothing ties a robot down.
     """
-    timeline = Timeline(robots, landmarks, settings)
+    timeline, records = Timeline(robots, landmarks, settings), list(records)
     graph, legs, guesses = gtsam.NonlinearFactorGraph(), [], {}
 
     def known(key: int) -> Pose2 | np.ndarray:
         return _value(solution, timeline, key, guesses)
 
-    for group in in_groups(records, _GROUP_S):
-        growth = timeline.extend(group, known)
+    def keep(growth: Growth) -> None:
         graph.push_back(growth.graph)
-        legs += growth.tree
+        legs.extend(growth.tree)
         for key in growth.values.keys():  # noqa: SIM118 - Values is no dict
             if robot_index(key) is None:
                 guesses[key] = value_of(growth.values, key)
+
+    keep(_with_places(timeline, records, solution, known))
+    for group in in_groups(records, _GROUP_S):
+        keep(timeline.extend(group, known))
     require_connected(timeline)
     if robust_fixes:
         _soften(graph, settings.loss)
     return Rebuilt(timeline, graph, legs, _start(solution, timeline, guesses))
+
+
+def _with_places(
+    timeline: Timeline, records: Sequence[Record], solution: Solution, known: Callable[[int], Pose2 | np.ndarray]
+) -> Growth:
+    """Tell a timeline where robots and landmarks are, as if they had been surveyed, and take the surveys out again.
+
+    Records that are not quite calibrated yet might not convince it.
+    """
+    begins = _begins(records)
+    surveys, origin = [], None
+    for robot in timeline.robots:
+        if robot not in begins or robot not in solution.courses:
+            continue
+        course = solution.courses[robot]
+        pose = Pose2(*interpolated(course.stamps_s, course.states, np.array([begins[robot]]))[0])
+        origin = pose if origin is None else origin
+        surveys.append(PosePrior(begins[robot], robot, origin.between(pose), np.eye(3)))
+    if not surveys or surveys[0].robot != timeline.robots[0]:
+        return Growth()
+    for name, place in solution.landmarks.items():
+        if name in begins:
+            surveys.append(LandmarkPrior(surveys[0].stamp_s, name, origin.transformTo(place), np.eye(2)))
+    growth = timeline.extend(surveys, known)
+    timeline.used.clear()
+    gauge = gtsam.NonlinearFactorGraph()
+    gauge.push_back(growth.graph.at(0))  # the first robot's first pose is the origin; the rest are the surveys
+    return Growth(gauge, growth.values, growth.poses)
+
+
+def _begins(records: Iterable[Record]) -> dict[str, float]:
+    """Robot or landmark -> when the first record that names it begins."""
+    begins: dict[str, float] = {}
+    for record in records:
+        stamp_s = record.start_s if isinstance(record, Odometry) else record.stamp_s
+        for role in ("robot", "observer", "target"):
+            name = getattr(record, role, None)
+            if name is not None:
+                begins[name] = min(begins.get(name, np.inf), stamp_s)
+    return begins
 
 
 def _value(solution: Solution, timeline: Timeline, key: int, guesses: Mapping[int, Pose2 | np.ndarray]):

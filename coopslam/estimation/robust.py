@@ -17,6 +17,7 @@ import numpy as np
 from coopslam.errors import BadInput, require_between
 from coopslam.estimation.batch import optimize, solve_batch
 from coopslam.estimation.keys import robot_index
+from coopslam.estimation.ordering import nested_dissection
 
 _STEPS_MAX = 60  # of graduation; from a residual of 1 km where 1 mm was expected it takes some 45
 _ROUNDS_MAX = 10  # of choosing the inliers of a solution and solving again

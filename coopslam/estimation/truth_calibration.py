@@ -24,7 +24,6 @@ from coopslam.estimation.sensor_residuals import (
     looks_like_depth,
     odometry_noise,
     sightings_of,
-    size,
     sizes,
     windows_of,
 )
@@ -33,7 +32,9 @@ from coopslam.records import Record
 from coopslam.se2 import Pose2
 
 _CAUCHY_SIGMAS = 2.385  # 95 % efficiency for normal errors (Holland and Welsch 1977)
-_ROUNDS = 2  # of odometry's fit: a delay moves the windows in which the robot drives
+# Of odometry's fit: a delay moves the windows in which the robot drives; Cauchy's loss has minima of its own far off.
+_LOSSES = ("soft_l1", "cauchy", "cauchy")
+_DERIVATIVE_STEP = 0.01
 _CAMERA, _ODOMETRY = slice(0, 3), slice(3, 8)
 _ASSUMED = CommandNoise(Walk(0.02, 0.03, 0.001), Walk(0.005, 0.005, 0.0007), Walk(0.03, 0.09, 0.001))
 
@@ -134,7 +135,7 @@ def _fit_odometry(
     path: DrivenPath, course: Course, settings: TruthCalibrationSettings, constants: np.ndarray, sigmas: np.ndarray
 ) -> None:
     """Scales, creep, drift and delay, into (8,) constants and sigmas."""
-    for _ in range(_ROUNDS):
+    for loss in _LOSSES:
         windows = windows_of(path, course, settings.window_s, constants)
         if not len(windows.starts_s):
             return
@@ -150,7 +151,7 @@ def _fit_odometry(
             every = (windows.residuals(path, trial) / scale).ravel()
             return every[np.isfinite(every)]
 
-        _fit(residuals, _ODOMETRY, settings, constants, sigmas)
+        _fit(residuals, _ODOMETRY, settings, constants, sigmas, loss)
 
 
 def _fit(
@@ -159,10 +160,11 @@ def _fit(
     settings: TruthCalibrationSettings,
     constants: np.ndarray,
     sigmas: np.ndarray,
+    loss: str = "cauchy",
 ) -> None:
     """Robust fit of some of a robot's constants in place, from where they are.
 
-    Sigmas are those of residuals of the size that is found. What is not excited goes to its default.
+    What is not excited goes to its default.
     """
     prior, default = np.array(astuple(settings.prior))[which], DEFAULTS[which]
 
@@ -174,16 +176,29 @@ def _fit(
     result = least_squares(
         lambda shifted: everything(start + shifted - 1.0),
         np.ones(len(start)),
-        loss="cauchy",
+        loss=loss,
         f_scale=_CAUCHY_SIGMAS,
         x_scale=0.1 * np.ones(len(start)),
-        diff_step=0.01,
+        diff_step=_DERIVATIVE_STEP,
     )
     best = start + result.x - 1.0
-    spread = max(size(residuals(best)) or 1.0, 1e-3)
-    precision = np.diag(prior**-2.0)
-    information = (result.jac.T @ result.jac - precision) / spread**2 + precision
-    found = np.sqrt(np.diag(np.linalg.inv(information)))
+    found = np.sqrt(np.diag(_sandwich(residuals, best, prior)))
     excited = found < settings.excited * prior
     constants[which] = np.where(excited, best, default)
     sigmas[which] = np.where(excited, found, prior)
+
+
+def _sandwich(residuals: Callable[[np.ndarray], np.ndarray], best: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """(k, k) covariance of a robust fit by the size that the residuals have where they are, whatever was assumed.
+
+    The estimator of Huber (1967) and White (1980): A^-1 B A^-1, with A = J' w J and B = J' (w r)^2 J.
+    """
+    at_best = residuals(best)
+    jacobian = np.empty((len(at_best), len(best)))
+    for k, step in enumerate(_DERIVATIVE_STEP * np.eye(len(best))):
+        jacobian[:, k] = (residuals(best + step) - residuals(best - step)) / (2 * _DERIVATIVE_STEP)
+    weights = 1.0 / (1.0 + (at_best / _CAUCHY_SIGMAS) ** 2)
+    spare = len(at_best) / max(len(at_best) - len(best), 1)
+    bread = np.linalg.inv((jacobian * weights[:, None]).T @ jacobian + np.diag(prior**-2.0))
+    filling = spare * (jacobian * ((weights * at_best) ** 2)[:, None]).T @ jacobian + np.diag(prior**-2.0)
+    return bread @ filling @ bread
