@@ -25,11 +25,11 @@ class CalibrateSettings:
     """How logs calibrate themselves.
 
     Logs of MR.CLAM do not tell the noise of their sensors: what `MrclamSettings` says is that of robots as they come,
-    and calibrated ones have less.
+    and calibrated ones have less. After two rounds their trajectory does not get better any more.
     """
 
     mrclam: SelfCalibrationSettings = field(
-        default_factory=lambda: SelfCalibrationSettings(camera=CALIBRATED_CAMERA, reads_odometry_noise=True)
+        default_factory=lambda: SelfCalibrationSettings(2, camera=CALIBRATED_CAMERA, reads_odometry_noise=True)
     )
     others: SelfCalibrationSettings = field(default_factory=SelfCalibrationSettings)
 
@@ -58,9 +58,11 @@ def calibrate_itself(
     timeline: TimelineSettings,
     settings: CalibrateSettings,
     tell: Callable[[str], None],
+    rounds: int | None = None,
 ) -> SelfCalibrated:
-    """The log's own calibration, from raw records."""
+    """The log's own calibration, from raw records. rounds: instead of those of the settings."""
     own, header = settings.mrclam if is_mrclam else settings.others, log.header
+    own = own if rounds is None else replace(own, rounds=rounds)
     return self_calibrate(records, header.robots, header.landmarks, timeline, own, log.name, tell)
 
 

@@ -5,6 +5,7 @@ Without truth the size of the world is open, and the mean scale of odometry is h
 
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from _calibration import calibrate_itself, part_of, read_calibration, with_part, write_calibration
@@ -41,6 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--with-truth", action="store_true", help="against the truth beside the log")
     add_part_options(parser)
     parser.add_argument("--ignore", choices=["nothing", "landmarks", "robots"], help="do not use sightings of these")
+    parser.add_argument(
+        "--rounds", metavar="N", type=int, default=4, help="of smoothing and calibrating, without truth; default: 4"
+    )
     parser.add_argument("--config", metavar="S.toml", type=Path, help="settings, as of replay.py")
     parser.add_argument("--figures", choices=["none", "static"], default="static", help="default: static, beside --out")
     options = parser.parse_args(arguments)
@@ -61,8 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.with_truth:
         calibration, courses, landmarks = _against_truth(log, records, truth, options.log)
     else:
-        timeline, own = settings.estimation.timeline, settings.self_calibration
-        found = calibrate_itself(log, records, is_mrclam, timeline, own, lambda text: print(text, flush=True))
+        timeline, own, tell = settings.estimation.timeline, settings.self_calibration, partial(print, flush=True)
+        found = calibrate_itself(log, records, is_mrclam, timeline, own, tell, options.rounds)
         calibration, courses, landmarks = found.calibration, found.solution.courses, found.solution.landmarks
     calibration = with_part(calibration, from_s, to_s)
     write_calibration(options.out, calibration)

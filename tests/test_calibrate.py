@@ -130,7 +130,7 @@ def test_without_truth(log, tmp_path, capsys):
     scales = np.array([[one.odometry_scale, one.range_scale] for one in found.robots.values()]).mean(axis=0)
     assert scales[0] == pytest.approx(scales[1], abs=1e-9)
     said = capsys.readouterr().out
-    assert "round 3 of 3" in said and "turn_scale" in said and "calibrated by itself" in said
+    assert "round 4 of 4" in said and "turn_scale" in said and "calibrated by itself" in said
     assert not path.with_suffix(".png").exists()
 
 

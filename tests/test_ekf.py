@@ -8,8 +8,9 @@ from leapfrog import FIX_COV, ROBOTS, difference, leapfrog
 
 from coopslam.errors import BadInput, UnderDetermined
 from coopslam.estimation.batch import BatchEstimate, solve_batch
-from coopslam.estimation.ekf import REFUSED, SINGULAR, TOO_LATE, Ekf, EkfSettings
+from coopslam.estimation.ekf import SINGULAR, TOO_LATE, Ekf, EkfSettings
 from coopslam.estimation.estimate import Trajectory
+from coopslam.estimation.innovation_gate import REFUSED
 from coopslam.evaluation.consistency import chi_square_band, pose_nees, position_nees
 from coopslam.records import (
     BearingFix,

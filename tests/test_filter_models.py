@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from coopslam.estimation.alignment import AlignmentSettings
-from coopslam.estimation.filter_models import Sighting, linearized, names, noise_covariance, prior_mean, sighting
-from coopslam.estimation.keys import landmark_key, pose_key, vertex_key
+from coopslam.estimation.filter_models import Sighting, linearized, noise_covariance, prior_mean, sighting
+from coopslam.estimation.keys import landmark_key, pose_key
 from coopslam.se2 import Pose2, rotation, wrap, xytheta
 
 POSE, OTHER, POINT = pose_key(0, 3), pose_key(1, 5), landmark_key(2)
@@ -115,27 +115,6 @@ def test_a_robust_loss_is_looked_through():
     robust = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(1.0), noise(2))
     factor = gtsam.BearingRangeFactor2D(POSE, POINT, gtsam.Rot2(0.1), 2.0, robust)
     np.testing.assert_allclose(noise_covariance(factor), noise(2).covariance())
-
-
-def test_names_are_those_of_the_records():
-    wall = gtsam.BearingFactorPose2(vertex_key(1), vertex_key(2), gtsam.Rot2(0.0), noise(1))
-    corner = gtsam.BetweenFactorPose2(POSE, vertex_key(2), Pose2(), noise(3))
-    closure = gtsam.BetweenFactorPose2(POSE, POSE + 4, Pose2(), noise(3))
-    expected = {
-        "between": ("relative pose", "RelativePoseFix"),
-        "bearing-range pose": ("bearing-range of a robot", "BearingRangeFix"),
-        "bearing-range point": ("bearing-range of a landmark", "BearingRangeFix"),
-        "bearing pose": ("bearing of a robot", "BearingFix"),
-        "bearing point": ("bearing of a landmark", "BearingFix"),
-        "range pose": ("range of a robot", "RangeFix"),
-        "range point": ("range of a landmark", "RangeFix"),
-        "pose prior": ("pose prior", "PosePrior"),
-        "landmark prior": ("landmark prior", "LandmarkPrior"),
-    }
-    assert {kind: names(exact(kind), exact(kind).keys()) for kind in KINDS} == expected
-    assert names(wall, wall.keys()) == ("wall", "WallDecision")
-    assert names(corner, corner.keys()) == ("corner", "CornerDecision")
-    assert names(closure, closure.keys()) == ("loop closure", "LoopClosure")
 
 
 # ---- where something new is ----

@@ -11,11 +11,11 @@ from coopslam.errors import BadInput
 from coopslam.estimation.estimate import Estimate
 from coopslam.estimation.factors import GAUGE_SIGMA
 from coopslam.estimation.gate import Gate, GateSettings
-from coopslam.estimation.keys import is_landmark, pose_key, vertex_key
+from coopslam.estimation.keys import is_landmark, is_vertex, pose_key
 from coopslam.estimation.timeline import Timeline, TimelineSettings
 from coopslam.estimation.tracks import Edge
-from coopslam.records import CornerDecision, Record
-from coopslam.se2 import Pose2, adjoint, chain_covariance, observer_to_target_axes
+from coopslam.records import Record
+from coopslam.se2 import Pose2, adjoint, chain_covariance
 
 
 class DeadReckoning:
@@ -44,7 +44,7 @@ class DeadReckoning:
         growth = self.timeline.extend(records, self._estimate.any_value, refusals)
         self.graph.push_back(growth.graph)
         self._estimate.grow(growth.tree, growth.values)
-        self._estimate.grow(self._new_corners(records), gtsam.Values())
+        self._estimate.grow(self._new_corners(growth.graph), gtsam.Values())
         self._estimate.keep_causal(growth.poses)
         self.timing += time.perf_counter() - began
         return self._estimate
@@ -53,16 +53,16 @@ class DeadReckoning:
         """All variables as known now."""
         return self._estimate.values()
 
-    def _new_corners(self, records: Iterable[Record]) -> Iterator[Edge]:
+    def _new_corners(self, graph: gtsam.NonlinearFactorGraph) -> Iterator[Edge]:
         """Map vertices hang on the pose from which they were first seen."""
-        for record in records:
-            if not isinstance(record, CornerDecision) or self._estimate.knows_vertex(record.vertex):
+        found = set()
+        for factor in map(graph.at, range(graph.size())):
+            keys = factor.keys()
+            if not isinstance(factor, gtsam.BetweenFactorPose2) or not is_vertex(keys[1]):
                 continue
-            seen = record.sighting
-            if self.timeline.is_placed(record.vertex) and self.timeline.is_placed(seen.observer):
-                key = self._estimate.pose_key_at(seen.observer, seen.stamp_s)
-                cov = observer_to_target_axes(seen.T_observer_corner, seen.cov_observer)
-                yield Edge(key, vertex_key(record.vertex), seen.T_observer_corner, cov)
+            if not (keys[1] in found or self._estimate.knows(keys[1])):
+                found.add(keys[1])
+                yield Edge(*keys, factor.measured(), factor.noiseModel().covariance())
 
 
 class DeadReckoningEstimate(Estimate):
@@ -77,9 +77,9 @@ class DeadReckoningEstimate(Estimate):
         self._parent: dict[int, int] = {}
         self._open: dict[int, list[Edge]] = defaultdict(list)  # by both keys; edges that nothing reaches yet
 
-    def knows_vertex(self, vertex: int) -> bool:
-        """Whether a map vertex hangs on the tree."""
-        return vertex_key(vertex) in self._poses
+    def knows(self, key: int) -> bool:
+        """Whether a pose or a map vertex hangs on the tree."""
+        return key in self._poses
 
     def values(self) -> gtsam.Values:
         """Everything that it knows."""

@@ -12,17 +12,14 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
-from math import inf
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2
 
 from coopslam.errors import UnderDetermined, require_between
-from coopslam.estimation.ekf_estimate import Departed, EkfEstimate, Innovation
+from coopslam.estimation.ekf_estimate import Departed, EkfEstimate
 from coopslam.estimation.estimate import Estimate
-from coopslam.estimation.factor_kinds import kind_of, record_kind
+from coopslam.estimation.factor_kinds import drop
 from coopslam.estimation.factors import floored
 from coopslam.estimation.filter_models import (
     Linearized,
@@ -36,6 +33,7 @@ from coopslam.estimation.filter_models import (
 from coopslam.estimation.filter_state import FilterState, in_frame_axes
 from coopslam.estimation.filter_tree import Tree, seen_from
 from coopslam.estimation.gate import Gate, GateSettings
+from coopslam.estimation.innovation_gate import InnovationGate
 from coopslam.estimation.keys import is_landmark, pose_key, robot_index
 from coopslam.estimation.timeline import Timeline, TimelineSettings
 from coopslam.estimation.tracks import Edge, Growth
@@ -43,11 +41,7 @@ from coopslam.records import CornerSighting, Record
 from coopslam.se2 import Pose2, chain_covariance, xytheta
 
 TOO_LATE = "older than the filter's state"
-REFUSED = "beyond the gate"
 SINGULAR = "observer and target coincide"
-_JUDGED_BEFORE = frozenset(
-    {"RelativePoseFix", "CornerDecision", "WallDecision"}
-)  # by `gate`, and by the team that decided
 _ORIGIN = pose_key(0, 0)
 
 
@@ -80,8 +74,9 @@ class Ekf:
         self.settings = settings
         self.graph = gtsam.NonlinearFactorGraph()  # all that was not refused, for a batch solve
         self.timing = 0.0  # s spent in updates
-        self.innovations: list[Innovation] = []  # of all measurements that were tested, those refused included
-        self.refused_innovations: list[Innovation] = []
+        self._innovations = InnovationGate(self.timeline, settings.gate_probability)
+        self.innovations = self._innovations.innovations  # of all measurements that were tested, those refused included
+        self.refused_innovations = self._innovations.refused
         self._state = FilterState()
         self._departed: dict[int, Departed] = {}
         self._gate = Gate(self.timeline, gate or GateSettings())
@@ -146,7 +141,7 @@ class Ekf:
             return self._measure(factor, keys)
         new = [key for key in keys if not self._is_known(key)]
         if not new:
-            self._drop(factor, TOO_LATE)
+            drop(factor, self.timeline, TOO_LATE)
             return True
         if new != keys[-1:] or not (len(keys) == 1 or keys[0] in self._state):
             return None
@@ -173,7 +168,7 @@ class Ekf:
             rest.append((factor, keys))
         for factor, keys in reversed(rest):
             if self._use(factor, keys, guesses) is None:
-                self._drop(factor, TOO_LATE)
+                drop(factor, self.timeline, TOO_LATE)
 
     def _sighting(self, factor, observer: Pose2, key: int, guesses: gtsam.Values) -> Sighting | None:
         guess = guesses.atPoint2(key) if is_landmark(key) else None
@@ -279,7 +274,7 @@ class Ekf:
         """Correct the state; False when the measurement is refused."""
         model = linearized(factor, [self._state.mean(key) for key in keys])
         if model is None:
-            self._drop(factor, SINGULAR)
+            drop(factor, self.timeline, SINGULAR)
             return False
         return self._fuse(factor, keys, model)
 
@@ -289,31 +284,7 @@ class Ekf:
         across, spread = self._state.spread(rows, model.jacobians)
         S = spread + noise_covariance(factor)
         S_inverse = np.linalg.inv(S)
-        if not self._is_credible(factor, float(model.miss @ S_inverse @ model.miss), len(model.miss)):
+        if not self._innovations.is_credible(factor, float(model.miss @ S_inverse @ model.miss), len(model.miss)):
             return False
         self._state.correct(across, S, S_inverse, model.miss)
         return True
-
-    def _is_credible(self, factor: gtsam.NoiseModelFactor, nis: float, dof: int) -> bool:
-        """Judge an innovation, and keep it; one that is refused is counted, and may be looked at again."""
-        innovation = Innovation(kind_of(factor), nis, dof)
-        self.innovations.append(innovation)
-        if nis <= _limit(self.settings.gate_probability, dof):
-            return True
-        if record_kind(factor, self.timeline) in _JUDGED_BEFORE:
-            return True
-        self.refused_innovations.append(innovation)
-        self.timeline.refused.append(factor)
-        self._drop(factor, REFUSED)
-        return False
-
-    def _drop(self, factor: gtsam.NoiseModelFactor, reason: str) -> None:
-        record = record_kind(factor, self.timeline)
-        self.timeline.dropped[f"{record}: {reason}"] += 1
-        self.timeline.used[record] -= 1
-
-
-@cache
-def _limit(probability: float, dof: int) -> float:
-    """Squared innovation that a good measurement goes beyond with this probability."""
-    return inf if probability == 0.0 else float(chi2.isf(probability, dof))

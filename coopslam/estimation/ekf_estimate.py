@@ -8,17 +8,10 @@ import numpy as np
 from coopslam.errors import UnderDetermined
 from coopslam.estimation.estimate import Estimate
 from coopslam.estimation.filter_state import FilterState, in_own_axes
+from coopslam.estimation.innovation_gate import Innovation
 from coopslam.estimation.keys import describe
 from coopslam.estimation.timeline import Timeline
 from coopslam.se2 import Pose2
-
-
-class Innovation(NamedTuple):
-    """How far a measurement was from its prediction."""
-
-    kind: str  # in words
-    nis: float  # squared, normalized with its covariance; chi-square distributed when that is honest
-    dof: int
 
 
 class Departed(NamedTuple):

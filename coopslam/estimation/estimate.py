@@ -60,8 +60,11 @@ class Estimate(ABC):
         return list(self.timeline.placed_landmarks)
 
     def pose_key(self, robot: str) -> int:
-        """Key of the robot's latest pose variable. Raises UnderDetermined while it is not placed."""
-        return self._keys(robot)[-1]
+        """Key of the robot's latest pose variable. Raises UnderDetermined while it is not placed, or has no records."""
+        keys = self._keys(robot)
+        if not keys:
+            raise UnderDetermined(f"{robot} has no pose yet: no record has named it")
+        return keys[-1]
 
     def pose_key_at(self, robot: str, stamp_s: float) -> int:
         """Key of the robot's pose variable at an instant. Raises UnderDetermined when there is none."""

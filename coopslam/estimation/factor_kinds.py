@@ -5,7 +5,7 @@ from bisect import bisect_left
 import gtsam
 
 from coopslam.estimation.keys import is_landmark, is_vertex, robot_index
-from coopslam.estimation.timeline import Timeline
+from coopslam.estimation.timeline import STAMP_TOLERANCE_S, Timeline
 
 _SIGHTINGS = {
     gtsam.BearingRangeFactor2D: "bearing-range",
@@ -51,16 +51,25 @@ def kind_of(factor: gtsam.NonlinearFactor) -> str | None:
 def record_kind(factor: gtsam.NonlinearFactor, timeline: Timeline) -> str:
     """Name of the kind of record that a measurement of the timeline comes from; its own odometry apart.
 
-    Poses of two robots that were never there at the same time were compared by a loop closure. One between poses at
-    which both stood for a while is a relative pose fix, as far as anybody can tell, unless there was none.
+    Poses of two robots that were never there at the same time were compared by a loop closure, as far as anybody can
+    tell: where only the other kind has been used it was that.
     """
     kind = kind_of(factor)
     if kind != "relative pose":
         return _RECORDS[kind.partition(" of a ")[0]]
     first, second = factor.keys()
     (since_a, until_a), (since_b, until_b) = _stay(first, timeline), _stay(second, timeline)
-    together = max(since_a, since_b) <= min(until_a, until_b)
-    return "RelativePoseFix" if together and timeline.used["RelativePoseFix"] else "LoopClosure"
+    likely, other = "RelativePoseFix", "LoopClosure"
+    if max(since_a, since_b) > min(until_a, until_b) + STAMP_TOLERANCE_S:
+        likely, other = other, likely
+    return likely if timeline.used[likely] > 0 else other
+
+
+def drop(factor: gtsam.NonlinearFactor, timeline: Timeline, reason: str) -> None:
+    """Count a measurement that the timeline has used and the estimator cannot use."""
+    kind = record_kind(factor, timeline)
+    timeline.dropped[f"{kind}: {reason}"] += 1
+    timeline.used[kind] -= 1
 
 
 def _kind_of_relative_pose(first: int, second: int) -> str:

@@ -25,7 +25,7 @@ import numpy as np
 
 from coopslam.errors import BadInput, UnderDetermined, require_positive
 from coopslam.estimation.estimate import Estimate
-from coopslam.estimation.factor_kinds import record_kind
+from coopslam.estimation.factor_kinds import drop
 from coopslam.estimation.factors import gaussian
 from coopslam.estimation.filter_tree import seen_from
 from coopslam.estimation.fixed_lag_estimate import Departed, FixedLagEstimate
@@ -117,9 +117,7 @@ class FixedLag:
                 self._window.add(factor)
             else:
                 late.append(factor)
-                kind = record_kind(factor, self.timeline)
-                self.timeline.dropped[f"{kind}: {TOO_LATE}"] += 1
-                self.timeline.used[kind] -= 1
+                drop(factor, self.timeline, TOO_LATE)
         return late
 
     # ---- the window ----

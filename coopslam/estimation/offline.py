@@ -82,7 +82,7 @@ def smooth(
 def _best_start(graph: gtsam.NonlinearFactorGraph, causal: gtsam.Values) -> gtsam.Values:
     """The causal values, or those of lago where it applies and fits better."""
     size = causal.size()
-    if size > _LAGO_MOST or not all(isinstance(graph.at(i), _RELATIVE_POSES) for i in range(graph.size())):
+    if not 0 < size <= _LAGO_MOST or not all(isinstance(graph.at(i), _RELATIVE_POSES) for i in range(graph.size())):
         return causal
     try:
         linear = deep_stack.call(gtsam.lago.initialize, _with_diagonal_noise(graph), False, variables=size)

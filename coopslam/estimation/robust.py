@@ -13,13 +13,17 @@ from itertools import compress
 
 import gtsam
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from coopslam.errors import BadInput, require_between
+from coopslam.errors import BadInput, UnderDetermined, require_between
 from coopslam.estimation.batch import optimize, solve_batch
+from coopslam.estimation.covariances import Covariances
 from coopslam.estimation.keys import robot_index
 from coopslam.estimation.ordering import nested_dissection
 
 _STEPS_MAX = 60  # of graduation; from a residual of 1 km where 1 mm was expected it takes some 45
+_LEAST_WEIGHT = 1e-12  # while it graduates: a robot may have no fix that counts, and has to be somewhere
 _ROUNDS_MAX = 10  # of choosing the inliers of a solution and solving again
 
 
@@ -66,7 +70,7 @@ def solve_robust(
     Raises UnderDetermined as that does.
     """
     settings = settings or RobustSettings()
-    values = solve_batch(graph, initial, robots)
+    values = plain = solve_batch(graph, initial, robots)
     known = [all(map(values.exists, factor.keys())) for factor in refused]
     problem = _Problem(graph, list(compress(refused, known)))
     limit = settings.distance_sq_max
@@ -75,7 +79,11 @@ def solve_robust(
     graduated, steps = _graduate(problem, values, settings)
     if problem.cost(graduated, limit) < problem.cost(values, limit):
         values = graduated
-    values, inliers = _settle(problem, values, limit, robots)
+    try:
+        values, inliers = _settle(problem, values, limit, robots)
+        _require_tied_down(problem, values, inliers, robots)
+    except UnderDetermined:  # those that fit leave somebody without any: then those of the graph count, as they are
+        values, inliers = plain, problem.accepted
     return RobustSolution(
         values,
         problem.graph(inliers.astype(float)),
@@ -139,7 +147,8 @@ def _graduate(problem: _Problem, values: gtsam.Values, settings: RobustSettings)
     steps, weights = 0, None
     while steps < _STEPS_MAX and not np.array_equal(weights, squares <= limit):
         weights = truncated_weights(squares, limit, mu)
-        values = optimize(problem.graph(weights), values, problem.ordering, settings.iterations)
+        held = problem.graph(np.maximum(weights, _LEAST_WEIGHT))
+        values = optimize(held, values, problem.ordering, settings.iterations)
         squares = problem.distances_sq(values)
         steps, mu = steps + 1, mu * settings.mu_factor
     return values, steps
@@ -170,3 +179,19 @@ def _settle(
     else:
         inliers = former  # it swings between two choices: what was solved last
     return values, inliers
+
+
+def _require_tied_down(problem: _Problem, values: gtsam.Values, inliers: np.ndarray, robots: Sequence[str]) -> None:
+    """Raises UnderDetermined when the fixes that count leave a direction open; `solve_batch` only counts equations.
+
+    Odometry holds each robot's poses together: nothing is open while the same robots hang together by fixes.
+    """
+    pairs = np.array([list(map(robot_index, fix.keys())) for fix in problem.fixes])
+    if _groups(pairs[inliers], pairs.max() + 1) > _groups(pairs, pairs.max() + 1):
+        Covariances(problem.graph(inliers.astype(float)), values, robots).require_all()
+
+
+def _groups(pairs: np.ndarray, size: int) -> int:
+    """Number of connected groups among so many robots.  pairs: (N, 2) their indices."""
+    ties = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
+    return connected_components(ties, directed=False)[0]

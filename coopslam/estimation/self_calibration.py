@@ -37,7 +37,7 @@ from coopslam.estimation.robust import solve_robust
 from coopslam.estimation.sensor_residuals import looks_like_depth, odometry_noise, sightings_of, sizes
 from coopslam.estimation.synchronize import synchronized
 from coopslam.estimation.timeline import TimelineSettings
-from coopslam.records import CornerDecision, LandmarkPrior, LoopClosure, PosePrior, Record
+from coopslam.records import LandmarkPrior, LoopClosure, PosePrior, Record
 
 CALIBRATED_CAMERA = CameraNoise(0.02, 0.003, 0.01)  # of the robots of MR.CLAM, whose files do not tell it
 _ROUGH = 1e-2  # relative decrease of the cost at which the smoothing within a round ends
@@ -199,10 +199,13 @@ def _with_legs(settings: TimelineSettings, records: Iterable[Record]) -> Timelin
 
 
 def _knows_scale(records: Iterable[Record]) -> bool:
-    """Whether something else than odometry and sightings measures the world."""
+    """Whether something else than odometry and sightings measures the world.
+
+    Corners do not: robots stand in those that they sight.
+    """
     surveyed = 0
     for record in records:
-        if isinstance(record, LoopClosure | CornerDecision):
+        if isinstance(record, LoopClosure):
             return True
         surveyed += isinstance(record, PosePrior | LandmarkPrior)
     return surveyed > 1

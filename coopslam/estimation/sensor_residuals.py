@@ -124,16 +124,21 @@ class Windows:
 
 
 def windows_of(path: DrivenPath, course: Course, length_s: float, constants: np.ndarray) -> Windows:
-    """Windows one after the other in which the robot was asked to move, and its odometry is complete."""
+    """Windows one after the other in which the robot was asked to move, and its odometry is complete.
+
+    They begin and end with stamps of the course, between which it may be a chord of a long way.
+    """
     first = max(course.stamps_s[0], path.start_s[0] + constants[-1])
     last = min(course.stamps_s[-1], path.end_s[-1] + constants[-1])
-    edges = np.arange(first, last + 1e-9, length_s)
+    edges = np.searchsorted(course.stamps_s, np.arange(first, last + 1e-9, length_s) - 1e-6)
+    edges = course.stamps_s[np.unique(np.minimum(edges, len(course.stamps_s) - 1))]
+    edges = edges[edges <= last + 1e-6]
     starts, ends = edges[:-1], edges[1:]
     if not len(starts):
         return Windows(starts, ends, np.zeros((0, 3)))
     moving = path.done(ends, constants)[:, 4] - path.done(starts, constants)[:, 4] > 0
     lost = path.lost_s(ends, constants) - path.lost_s(starts, constants)
-    kept = moving & (lost < _MOST_LOST_S)
+    kept = moving & (lost < _MOST_LOST_S) & (ends - starts < 2 * length_s)
     starts, ends = starts[kept], ends[kept]
     true = between(course.at(starts), course.at(ends))
     return Windows(starts, ends, true)

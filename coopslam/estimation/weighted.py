@@ -59,7 +59,7 @@ class Weighted(Ekf):
         spreads = [H @ P @ H.T for H, P in zip(model.jacobians, priors, strict=True)]
         S = sum(spreads) + noise
         S_inverse = np.linalg.inv(S)
-        if not self._is_credible(factor, float(model.miss @ S_inverse @ model.miss), len(model.miss)):
+        if not self._innovations.is_credible(factor, float(model.miss @ S_inverse @ model.miss), len(model.miss)):
             return False
         for i in self._corrected(keys):
             H, P = model.jacobians[i], priors[i]

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from coopslam.errors import BadInput
-from coopslam.estimation.ekf_estimate import Innovation
 from coopslam.estimation.factor_kinds import kind_of
+from coopslam.estimation.innovation_gate import Innovation
 from coopslam.evaluation.consistency import chi_square_band
 
 _QUANTILE = 0.95
