@@ -50,6 +50,7 @@ class TagFit:
     chi_square: float  # of the pixels' noise as it is believed
     scale: float  # what a degree of freedom contributes to it, correlation included; 1 where that belief is right
     noise: Noise
+    blur: np.ndarray  # (3,) A, B, C, px^2
     explained: float  # share of the picture's variance in the regions, at worst over the tags
     contrast: float  # grey levels between light and dark, at worst over the tags
 
@@ -91,7 +92,7 @@ def fit_tags(regions: list[Region], camera: Camera, pose: np.ndarray, noise: Noi
             break
         change[:3] *= min(1.0, 0.3 / max(np.abs(change[:3]).max(), 1e-12))
         now, blur = now + change[:3], _possible(blur + change[3:])
-    return _concluded(regions, parts, now, inverse, noise)
+    return _concluded(regions, parts, now, blur, inverse, noise)
 
 
 def _possible(blur: np.ndarray) -> np.ndarray:
@@ -199,7 +200,7 @@ def _variance(residual: np.ndarray) -> float:
     return max(float(np.median(np.abs(residual)) * 1.4826) ** 2, LEAST_VARIANCE)
 
 
-def _concluded(regions: list[Region], parts: list[_Linearized], pose, inverse, noise: Noise) -> TagFit:
+def _concluded(regions: list[Region], parts: list[_Linearized], pose, blur, inverse, noise: Noise) -> TagFit:
     squares = [part.weights * part.residual**2 for part in parts]
     dof = sum(map(len, squares)) - 6 - 4 * len(parts)
     chi_square = float(sum(map(np.sum, squares)))
@@ -221,6 +222,7 @@ def _concluded(regions: list[Region], parts: list[_Linearized], pose, inverse, n
         chi_square,
         max(chi_square / dof, 1e-3) * inflation,
         noise,
+        blur,
         float(min(explained)),
         min(part.contrast for part in parts),
     )

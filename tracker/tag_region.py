@@ -11,7 +11,9 @@ from tracker.tag_corners import Tag
 from tracker.tag_cube import FAMILY, MODULES, TagCube
 
 HALF = MODULES / 2
-MARGIN = 0.75  # modules around the tag that are looked at
+MARGIN = 0.75  # modules around the tag that are looked at, at most
+LEAST_MARGIN = 0.2
+FROM_EDGE_PX = 1.3  # pixels are so far from the face's edge: what is beyond is unknown
 NEAR_EDGE_PX = 3.0  # farther from every line between modules a pixel says nothing of the pose
 MOST_PIXELS = 1600  # of a tag
 SMALL_PX = 6.0  # size of a module below which the face's edges smear into the margin
@@ -46,7 +48,8 @@ def region_of(image: np.ndarray, camera: Camera, cube: TagCube, tag: Tag, rays: 
     s, t, w = to_tag[:, :2] @ seen.T + to_tag[:, 2:]
     s, t = s / w, t / w
     off_edge_px = np.minimum(np.abs(s - np.rint(s)), np.abs(t - np.rint(t))) * size_px
-    keep = np.flatnonzero((np.maximum(np.abs(s), np.abs(t)) < HALF + MARGIN) & (off_edge_px < NEAR_EDGE_PX))
+    margin = float(np.clip(cube.face_m / cube.tag_m * HALF - HALF - FROM_EDGE_PX / size_px, LEAST_MARGIN, MARGIN))
+    keep = np.flatnonzero((np.maximum(np.abs(s), np.abs(t)) < HALF + margin) & (off_edge_px < NEAR_EDGE_PX))
     rows, columns = np.divmod(keep, last[0] - first[0])
     stride = -(-len(keep) // MOST_PIXELS)
     if stride > 1:

@@ -16,6 +16,7 @@ from coopslam.se2 import position
 
 FILES = (
     "config.toml",
+    "calibration.toml",
     "log.mcap",
     "map.geojson",
     "dual_graph.json",
