@@ -1,6 +1,6 @@
 """Open a recording, run estimators over it, and keep what each of them made of it."""
 
-import runpy
+import re
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -10,18 +10,22 @@ from typing import Literal
 
 import numpy as np
 from _calibration import CalibrateSettings, calibrate_itself, part_of
+from _own_source import OwnSource
 
-from coopslam.errors import BadInput, CoopSlamError, require_between
+from coopslam.errors import BadInput, CoopSlamError, require_between, shown
 from coopslam.estimation.calibration import Calibration, calibrated
 from coopslam.estimation.estimators import BATCH, EstimatorSettings, run
 from coopslam.estimation.rebuilt_graph import Solution
 from coopslam.estimation.replay import Replay
 from coopslam.estimation.self_calibration import smooth_calibrated
 from coopslam.estimation.synchronize import synchronized
-from coopslam.io.log import Log, LogSource, Truth
+from coopslam.io.bounds import bounded, require_bounded_truth
+from coopslam.io.log import Log, Truth
 from coopslam.io.mrclam import MrclamSettings, MrclamSource
 from coopslam.io.sources import open_log
 from coopslam.records import LandmarkPrior, LogHeader, PointFix, Record, RelativePoseFix
+
+_FILE_NAME = re.compile(r"[^./\\][^/\\]{0,79}")  # neither hidden nor in another directory
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +91,11 @@ class Outcome:
     failure: str = ""
     exit_code: int = 0
 
+    @classmethod
+    def failed(cls, name: str, error: Exception) -> "Outcome":
+        """Came to nothing, because of what our code or a singular matrix says."""
+        return cls(name, None, " ".join(str(error).split()), getattr(error, "exit_code", 3))
+
 
 def open_recording(path: Path, settings: ReplaySettings, tell: Callable[[str], None] = print) -> Recording:
     """Read a log, and calibrate it when the settings say so. tell: is told what self-calibration has done.
@@ -94,14 +103,21 @@ def open_recording(path: Path, settings: ReplaySettings, tell: Callable[[str], N
     Raises BadInput for what cannot be used, or when nothing is in it, and what `self_calibrate` raises.
     """
     began = time.perf_counter()
-    source = own_source(settings.source, path) if settings.source else open_log(path)
+    source = OwnSource(settings.source, path) if settings.source else open_log(path)
     if isinstance(source, MrclamSource):
         source = MrclamSource(path, settings.mrclam)
     log = _in_random_order(source.read(), settings.estimation.timeline.random_start)
+    _require_names(log.header, path)
+    log = replace(log, records=bounded(log.records, log.dropped, str(path)))
     log = replace(log, records=part_of(log.records, settings.from_s, settings.to_s, str(path)))
     raw = without_ignored(log.records, log.header, settings.ignore)
     if not raw:
         raise BadInput(f"{path}: no records to replay; expected odometry and sightings")
+    active = {name for record in raw for name in _robots_of(record)}
+    log.dropped.update(f"{robot}: no records of it" for robot in log.header.robots if robot not in active)
+    if not active.intersection(log.header.robots):
+        robots = shown(", ".join(log.header.robots))
+        raise BadInput(f"{path}: no record of any robot in the header ({robots}); expected odometry and sightings")
     calibration, solution, seconds = settings.calibration, None, None
     if settings.calibrate:
         is_mrclam, timeline = isinstance(source, MrclamSource), settings.estimation.timeline
@@ -111,19 +127,16 @@ def open_recording(path: Path, settings: ReplaySettings, tell: Callable[[str], N
     if calibration is not None:
         raw = calibrated(raw, calibration, log.dropped)
     records, truth = synchronized(raw), source.truth()
+    require_bounded_truth(truth, str(path))
     load_seconds = time.perf_counter() - began - (seconds or 0.0)
     return Recording(path, log, records, truth, load_seconds, ignored, calibration, solution, seconds)
 
 
-def own_source(name: str, path: Path) -> LogSource:
-    """A reader that somebody wrote for a format of their own: FILE.py:CLASS. Raises BadInput when there is none."""
-    file, _, name_of_class = name.rpartition(":")
-    if not file or not Path(file).is_file():
-        raise BadInput(f"--source {name}: FILE.py:CLASS of a file that exists expected")
-    module = runpy.run_path(file)
-    if name_of_class not in module:
-        raise BadInput(f"--source {name}: {file} has no {name_of_class}")
-    return module[name_of_class](path)
+def _require_names(header: LogHeader, path: Path) -> None:
+    """Raises BadInput for a robot whose name cannot be that of its trajectories' files."""
+    for robot in header.robots:
+        if not (_FILE_NAME.fullmatch(robot) and robot.isprintable()) or robot.endswith(".causal"):
+            raise BadInput(f"{path}: the robot {shown(robot)}; expected a name that a file can have")
 
 
 def _in_random_order(log: Log, seed: int | None) -> Log:
@@ -132,6 +145,11 @@ def _in_random_order(log: Log, seed: int | None) -> Log:
         return log
     robots = tuple(np.random.default_rng(seed).permutation(log.header.robots).tolist())
     return replace(log, header=replace(log.header, robots=robots))
+
+
+def _robots_of(record: Record) -> set[str]:
+    """Names in a record, those of landmarks among them."""
+    return {getattr(record, role) for role in ("robot", "observer", "target") if hasattr(record, role)}
 
 
 def without_ignored(records: Sequence[Record], header: LogHeader, ignore: str) -> list[Record]:
@@ -158,5 +176,5 @@ def run_estimator(
             replay = smooth_calibrated(*arguments, estimation.timeline, estimation.smooth, recording.solution)
             return Outcome(name, replay)
         return Outcome(name, run(name, *arguments, estimation, watch))
-    except CoopSlamError as error:
-        return Outcome(name, None, " ".join(str(error).split()), error.exit_code)
+    except (CoopSlamError, np.linalg.LinAlgError) as error:
+        return Outcome.failed(name, error)

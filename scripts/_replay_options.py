@@ -12,11 +12,13 @@ from pathlib import Path
 from _calibration import read_calibration
 from _replay import Recording, ReplaySettings
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
+from coopslam.errors import BadInput, NotWritten
 from coopslam.io.toml import from_mapping, load_toml
-from coopslam.report.run_directory import fresh_directory, prepare_run_directory
+from coopslam.report.run_directory import FILES, FOLDERS, fresh_directory, prepare_run_directory
 
 
 def add_replay_options(parser: argparse.ArgumentParser) -> None:
@@ -85,11 +87,45 @@ def replay_settings(options: argparse.Namespace) -> ReplaySettings:
     return replace(settings, estimation=estimation)
 
 
-def output_directory(options: argparse.Namespace, name: str) -> Path:
-    """The directory of --out, or a new one under runs/. Raises BadInput when it holds results already."""
+def output_directory(options: argparse.Namespace, name: str, logs: Sequence[Path]) -> Path:
+    """The directory of --out, or a new one under runs/. logs: what is replayed.
+
+    Raises BadInput when it holds results already, unless --force is given: then older results are deleted, but never
+    a log that is replayed, nor the calibration that is used.
+    """
     out = options.out or fresh_directory(Path("runs") / slug(name))
+    kept = {path.resolve() for log in logs for path in (log, log / "log.mcap") if path.exists()}
+    for path in (out / name for name in (*FILES, *FOLDERS)):
+        if path.resolve() in kept:
+            raise BadInput(f"--out {out}: its {path.name} is the log that is replayed; expected another directory")
+    older = older_results(out) if options.force else []
     prepare_run_directory(out, options.force)
+    for path in older:
+        if options.calibration is None or path.resolve() != options.calibration.resolve():
+            path.unlink(missing_ok=True)
     return out
+
+
+def older_results(out: Path) -> list[Path]:
+    """Files of an older replay or comparison in a directory that `prepare_run_directory` does not know."""
+    if not all((out / name).is_file() for name in ("config.toml", "summary.json")) or (out / "log.mcap").exists():
+        return []
+    own = ["trajectories/*.tum", "trajectories/*/*.tum", "figures/*.png", "calibration.toml"]
+    many = ["summary.json", "report.html"]  # of one log of several
+    patterns = [*own, *(f"[0-9][0-9][0-9]-*/{name}" for name in (*many, *own))]
+    return [path for pattern in patterns for path in out.glob(pattern) if path.is_file()]
+
+
+@contextmanager
+def written_to(out: Path, done: bool) -> Iterator[None]:
+    """Raises NotWritten when what is written inside finds no place. done: an estimator has been run already."""
+    try:
+        yield
+    except BrokenPipeError:  # nobody reads what is printed
+        raise
+    except OSError as error:
+        reason = error.strerror or error
+        raise NotWritten(f"--out {str(out)[:200]}: cannot be written: {reason}", done) from error
 
 
 def slug(name: str) -> str:
@@ -107,7 +143,7 @@ def progress(recording: Recording, names: Sequence[str]) -> Iterator[Callable[[f
         return
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task(
-            f"{recording.log.name}: {', '.join(names)}", total=recording.records[-1].stamp_s - recording.start_s
+            escape(f"{recording.log.name}: {', '.join(names)}"), total=recording.records[-1].stamp_s - recording.start_s
         )
         yield lambda stamp_s: bar.update(task, completed=stamp_s - recording.start_s)
 
@@ -153,8 +189,8 @@ def print_spread(estimators: dict, logs: int) -> None:
 
 def print_table(table: Table) -> None:
     """As wide as it needs where no terminal sets a limit."""
-    console = Console()
-    (console if console.is_terminal else Console(width=120)).print(table)
+    console = Console(markup=False)  # names of logs may hold brackets
+    (console if console.is_terminal else Console(width=120, markup=False)).print(table)
 
 
 def _shown(number: float | None, form: str) -> str:

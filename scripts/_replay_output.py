@@ -1,22 +1,56 @@
 """What replays leave behind: a summary, trajectories, a pose graph, and what their figures show."""
 
 from collections.abc import Sequence
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
 from _calibration import write_calibration
 from _replay import Outcome, Recording
 
+from coopslam.errors import CoopSlamError, UnderDetermined
 from coopslam.estimation.estimate import Trajectory
 from coopslam.estimation.pose_variables import STAMP_TOLERANCE_S
 from coopslam.estimation.replay import Replay
 from coopslam.evaluation.replay_score import ReplayScore, score_replay
-from coopslam.evaluation.trajectory_error import PoseErrors, TeamErrors
+from coopslam.evaluation.trajectory_error import PoseErrors, TeamErrors, states_of
 from coopslam.io.geojson import feature, write_feature_collection
 from coopslam.io.tum import write_tum
 from coopslam.records import MoveNote
 from coopslam.report.comparison_view import ComparisonView, EstimatorView, RobotErrors
 from coopslam.se2 import Pose2, largest_sigma, position, rotation
+
+
+def judged(outcome: Outcome, recording: Recording) -> tuple[Outcome, ReplayScore | None]:
+    """The outcome and its score; an estimate without covariances, or that is not finite, is a failure."""
+    try:
+        result = score(outcome, recording)
+        if result is not None:
+            _require_usable(result)
+    except (CoopSlamError, np.linalg.LinAlgError) as error:
+        return Outcome.failed(outcome.name, error), None
+    return outcome, result
+
+
+def _require_usable(result: ReplayScore) -> None:
+    """Raises UnderDetermined for an estimate that cannot be written."""
+    if not any(len(trajectory.poses) for trajectory in result.final.values()):
+        raise UnderDetermined("no robot has a pose; the records are of none of the log's robots")
+    for robot, trajectory in result.final.items():
+        lost = np.flatnonzero(~np.isfinite(states_of(trajectory.poses)).all(axis=1))
+        if len(lost):
+            raise UnderDetermined(f"the pose of {robot} at t = {trajectory.stamps_s[lost[0]]:.3f} s is not finite")
+    for key in result.scores:
+        if not _is_finite(result.scores[key]):
+            raise UnderDetermined(f"the estimate is out of all bounds: {key} is not finite")
+
+
+def _is_finite(value) -> bool:
+    if isinstance(value, dict):
+        return all(map(_is_finite, value.values()))
+    if isinstance(value, list):
+        return all(map(_is_finite, value))
+    return not isinstance(value, float) or isfinite(value)
 
 
 def score(outcome: Outcome, recording: Recording) -> ReplayScore | None:
@@ -79,12 +113,9 @@ def write_trajectories(directory: Path, score: ReplayScore) -> None:
 
 
 def write_own_calibration(directory: Path, recording: Recording) -> None:
-    """calibration.toml when the log calibrated itself, and none of an older run otherwise."""
-    path = directory / "calibration.toml"
-    if recording.calibration_seconds is None:
-        path.unlink(missing_ok=True)
-    else:
-        write_calibration(path, recording.calibration)
+    """calibration.toml when the log calibrated itself."""
+    if recording.calibration_seconds is not None:
+        write_calibration(directory / "calibration.toml", recording.calibration)
 
 
 def write_landmarks(path: Path, replay: Replay) -> None:

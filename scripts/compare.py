@@ -16,8 +16,9 @@ from _replay_options import (
     progress,
     replay_settings,
     slug,
+    written_to,
 )
-from _replay_output import score, spread, summarize, view_of, write_own_calibration, write_trajectories
+from _replay_output import judged, spread, summarize, view_of, write_own_calibration, write_trajectories
 
 from coopslam.estimation.estimators import NAMES
 from coopslam.evaluation.replay_score import ReplayScore
@@ -54,22 +55,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     settings = replay_settings(options)
     recordings = [open_recording(log, settings) for log in options.logs]
-    out = output_directory(options, f"compare-{recordings[0].log.name}")
-    (out / "config.toml").write_text(dump_toml(to_mapping(settings)), encoding="utf-8")
+    out = output_directory(options, f"compare-{recordings[0].log.name}", options.logs)
+    with written_to(out, done=False):
+        (out / "config.toml").write_text(dump_toml(to_mapping(settings)), encoding="utf-8")
     compared = []
     for number, recording in enumerate(recordings):
         own = out if len(recordings) == 1 else out / f"{number:03d}-{slug(recording.log.name)}"
-        compared.append(_compare(recording, options.estimators, settings, own))
+        with written_to(out, done=True):
+            compared.append(_compare(recording, options.estimators, settings, own))
         print_scores(compared[-1].summary)
     summary = compared[0].summary
     if len(compared) > 1:
         summary = {"logs": [one.summary for one in compared], "estimators": spread([one.summary for one in compared])}
-        write_json(out / "summary.json", summary)
+        with written_to(out, done=True):
+            write_json(out / "summary.json", summary)
         print_spread(summary["estimators"], len(compared))
     print(f"{out / 'summary.json'} and what belongs to it written")
     failures = [outcome for one in compared for outcome in one.outcomes if outcome.replay is None]
-    for failure in failures:
-        print(f"{failure.name}: {failure.failure}", file=sys.stderr)
+    if failures:
+        print("; ".join(f"{failure.name}: {failure.failure}" for failure in failures), file=sys.stderr)
     return max((failure.exit_code for failure in failures), default=0)
 
 
@@ -77,11 +81,13 @@ def _compare(recording: Recording, names: Sequence[str], settings: ReplaySetting
     """All estimators over one log, and everything written that is to be known of them."""
     out.mkdir(exist_ok=True)
     write_own_calibration(out, recording)
-    outcomes = []
+    outcomes, scored = [], []
     for name in names:
         with progress(recording, [name]) as watch:
-            outcomes.append(run_estimator(name, recording, settings, watch))
-    scored = [score(outcome, recording) for outcome in outcomes]
+            outcome = run_estimator(name, recording, settings, watch)
+        outcome, result = judged(outcome, recording)
+        outcomes.append(outcome)
+        scored.append(result)
     summary = summarize(recording, outcomes, scored)
     write_json(out / "summary.json", summary)
     for outcome, result in zip(outcomes, scored, strict=True):

@@ -66,3 +66,24 @@ def test_it_has_the_instants_of_the_batch_and_vertices_as_first_seen():
     assert last.vertices == estimate.vertices == batch.vertices
     for vertex in last.vertices:
         assert last.vertex(vertex).equals(estimate.vertex(vertex), 1e-9)
+
+
+def test_a_corner_that_a_robot_saw_before_it_had_a_place_gets_one_with_it():
+    """Hand-worked: robot1 starts 1 m ahead of robot0, drives 2 m, and sees a corner 1 m to its left."""
+    cov, estimator = np.eye(3) * 1e-4, DeadReckoning(ROBOTS)
+    sighting = CornerSighting(1.0, ROBOTS[1], Pose2(0, 1, 0), cov, 1.5, 0.01)
+    estimator.update([Odometry(0.0, 1.0, ROBOTS[1], Pose2(2, 0, 0), cov), sighting])
+    estimate = estimator.update([CornerDecision(1.0, sighting, 7, True)])
+    assert estimate.vertices == []
+    estimate = estimator.update([RelativePoseFix(1.0, ROBOTS[0], ROBOTS[1], Pose2(3, 0, 0), cov)])
+    assert estimate.vertices == [7]
+    assert estimate.vertex(7).equals(Pose2(3, 1, 0), 1e-9)
+
+
+def test_a_decision_on_a_sighting_that_was_dropped_does_no_harm():
+    cov, estimator = np.eye(3) * 1e-4, DeadReckoning(ROBOTS[:1])
+    drive = [Odometry(float(k), k + 1.0, ROBOTS[0], Pose2(1, 0, 0), cov) for k in range(4)]
+    late = CornerSighting(1.5, ROBOTS[0], Pose2(0, 1, 0), cov, 1.5, 0.01)
+    estimator.update(drive)
+    estimate = estimator.update([late, CornerDecision(4.0, late, 0, True)])
+    assert estimate.vertices == [] and sum(estimator.timeline.dropped.values()) == 2

@@ -8,9 +8,8 @@ from leapfrog import FIX_COV, ROBOTS, difference, leapfrog
 from coopslam.errors import BadInput, UnderDetermined
 from coopslam.estimation.batch import BatchEstimate, solve_batch
 from coopslam.estimation.fixed_lag import FixedLag, FixedLagSettings
-from coopslam.estimation.keys import landmark_key, pose_key
+from coopslam.estimation.keys import pose_key
 from coopslam.estimation.loss import Loss
-from coopslam.estimation.marginal_prior import eliminated
 from coopslam.estimation.timeline import TimelineSettings
 from coopslam.evaluation.consistency import chi_square_band, pose_nees, position_nees
 from coopslam.records import (
@@ -156,51 +155,6 @@ def test_its_covariances_are_honest_over_many_runs():
     for scores, dof in ((now, 3), (left, 3), (corners, 2)):
         low, high = chi_square_band(dof, len(scores), confidence=0.999)
         assert low < np.mean(scores) < high
-
-
-# ---- the prior ----
-
-
-def test_the_prior_is_the_schur_complement_and_its_derivative_the_numeric_one():
-    rng = np.random.default_rng(5)
-    keys = (landmark_key(0), landmark_key(1), pose_key(0, 1), pose_key(1, 2), pose_key(0, 0))
-    values, linear = gtsam.Values(), gtsam.GaussianFactorGraph()
-    for key in keys[:2]:
-        values.insert(key, rng.normal(size=2))
-    for key in keys[2:]:
-        values.insert(key, Pose2(*rng.normal(size=3)))
-    for a, b in zip(keys, keys[1:] + keys[:1], strict=True):
-        sizes = [2 if key in keys[:2] else 3 for key in (a, b)]
-        linear.add(a, rng.normal(size=(4, sizes[0])), b, rng.normal(size=(4, sizes[1])), rng.normal(size=4))
-    prior = eliminated(linear, values, [keys[-1]])
-    ordering, remaining = gtsam.Ordering(), gtsam.Ordering()
-    for key in (keys[-1], *prior.chart.keys):
-        ordering.push_back(key)
-    for key in prior.chart.keys:
-        remaining.push_back(key)
-    information, vector = linear.hessian(ordering)
-    gain = information[3:, :3] @ np.linalg.inv(information[:3, :3])
-    again = gtsam.GaussianFactorGraph()
-    again.push_back(prior.linearized(values))
-    ours = again.hessian(remaining)
-    np.testing.assert_allclose(ours[0], information[3:, 3:] - gain @ information[:3, 3:], atol=1e-9)
-    np.testing.assert_allclose(ours[1], vector[3:] - gain @ vector[:3], atol=1e-9)
-
-    moved = values.retract(_step(prior, rng.normal(size=10) * 0.5))  # far from where it was linearized
-    again = gtsam.GaussianFactorGraph()
-    again.push_back(prior.linearized(moved))
-    _, slope = again.hessian(remaining)
-    for i, direction in enumerate(np.eye(10) * 1e-5):
-        ahead, behind = (prior.cost(moved.retract(_step(prior, sign * direction))) for sign in (1, -1))
-        assert (ahead - behind) / 2e-5 == pytest.approx(-slope[i], rel=1e-5, abs=1e-6)
-
-
-def _step(prior, vector):
-    """Of all variables of a prior, in the order of its keys."""
-    step, ends = gtsam.VectorValues(), np.cumsum(prior.chart.sizes)
-    for key, size, end in zip(prior.chart.keys, prior.chart.sizes, ends, strict=True):
-        step.insert(key, vector[end - size : end])
-    return step
 
 
 # ---- what stays and what leaves ----
@@ -373,6 +327,20 @@ def test_records_of_several_robots_out_of_order_and_a_gap_raise_nothing():
         estimate = estimator.update([records[i] for i in order[start : start + 7]])
     assert sum(estimator.timeline.dropped.values()) > 0
     assert all(np.isfinite(estimate.belief(robot).cov_body).all() for robot in ROBOTS)
+
+
+def test_frames_that_were_joined_by_what_is_older_than_the_window_stay_joined():
+    """The fix that places R1 comes when R0's pose of it has left: it counts from that pose as it was then."""
+    estimator = FixedLag(ROBOTS, settings=FixedLagSettings(2.0))
+    for second in range(10):
+        drive = Odometry(second, second + 1.0, R0, Pose2(1.0, 0.0, 0.0), STEP_COV)
+        sighting = CornerSighting(second + 1.0, R0, Pose2(), STEP_COV, 1.5, 0.01)
+        estimator.update([drive, sighting])
+    estimate = estimator.update([RelativePoseFix(4.0, R0, R1, Pose2(0.0, 2.0, 0.0), FIX_COV)])
+    assert estimator.timeline.dropped == {"RelativePoseFix: older than the window": 1}
+    assert difference(estimate.pose(R1), Pose2(4.0, 2.0, 0.0)) < 1e-6
+    heading = 4 * STEP_COV[2, 2] + FIX_COV[2, 2]  # four steps and the fix, rad^2
+    assert estimate.belief(R1).cov_body[2, 2] == pytest.approx(heading, rel=1e-3)
 
 
 def test_settings_are_checked_and_absence_has_words():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from coopslam.errors import BadInput
-from coopslam.io.g2o import BearingEdge, PointEdge, PoseEdge, read_g2o, write_g2o, write_keys
+from coopslam.io.g2o import BearingEdge, PointEdge, PoseEdge, RangeEdge, read_g2o, write_g2o, write_keys
 from coopslam.se2 import Pose2, xytheta
 
 
@@ -87,12 +87,28 @@ def test_tags_and_upper_triangle(tmp_path):
     ]
 
 
+def test_positions_and_ranges_of_poses_have_tags_of_their_own_and_come_back(tmp_path):
+    edges = [PointEdge(0, 1, np.array([7.0, 8]), np.eye(2)), RangeEdge(0, 1, 3.0, 4.0), RangeEdge(0, 2, 5.0, 6.0)]
+    write_g2o(tmp_path / "graph.g2o", [(0, Pose2()), (1, Pose2())], [(2, [1, 1])], edges)
+    assert (tmp_path / "graph.g2o").read_text().splitlines()[3:] == [
+        "EDGE_POSITION_SE2 0 1 7.0 8.0 1.0 0.0 1.0",
+        "EDGE_RANGE_SE2 0 1 3.0 4.0",
+        "EDGE_RANGE_SE2_XY 0 2 5.0 6.0",
+    ]
+    position, near, far = read_g2o(tmp_path / "graph.g2o").edges
+    assert isinstance(position, PointEdge) and position.xy.tolist() == [7.0, 8.0]
+    assert [(type(edge), edge.end, edge.range_m, edge.information) for edge in (near, far)] == [
+        (RangeEdge, 1, 3.0, 4.0),
+        (RangeEdge, 2, 5.0, 6.0),
+    ]
+
+
 def test_misuse_is_refused(tmp_path):
     path, two = tmp_path / "graph.g2o", [(0, Pose2()), (1, Pose2())]
     with pytest.raises(ValueError, match="same id"):
         write_g2o(path, two, [(1, np.zeros(2))], [])
-    with pytest.raises(ValueError, match="PointEdge 0 -> 1 joins"):
-        write_g2o(path, two, [], [PointEdge(0, 1, np.zeros(2), np.eye(2))])
+    with pytest.raises(ValueError, match="PoseEdge 0 -> 2 joins"):
+        write_g2o(path, two, [(2, np.zeros(2))], [PoseEdge(0, 2, Pose2(), np.eye(3))])
     with pytest.raises(ValueError, match="BearingEdge 0 -> 9 joins"):
         write_g2o(path, two, [], [BearingEdge(0, 9, 0.0, 1.0)])
     with pytest.raises(ValueError, match="not finite"):

@@ -213,3 +213,26 @@ def test_nonsense_settings_are_refused():
     ):
         with pytest.raises(BadInput, match=next(iter(nonsense))):
             RobustSettings(**nonsense)
+
+
+@pytest.mark.parametrize("by_bearing", [False, True])
+def test_where_no_fix_would_be_left_those_of_the_graph_stay(by_bearing):
+    """Two fixes of the same poses, metres apart: at most one is true, at their mean neither fits.
+
+    by_bearing: a bearing and range, too little to hold the other robot, though its equations are enough to count.
+    """
+    a, b = pose_key(0, 0), pose_key(1, 0)
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, 0.01)
+    graph, initial = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.push_back(gtsam.PriorFactorPose2(a, Pose2(), noise))
+    for x in (1.0, 3.0):
+        graph.push_back(gtsam.BetweenFactorPose2(a, b, Pose2(x, 0, 0), noise))
+    if by_bearing:
+        for _ in range(2):
+            weak = gtsam.noiseModel.Isotropic.Sigma(2, 0.1)
+            graph.push_back(gtsam.BearingRangeFactorPose2(a, b, gtsam.Rot2(0.0), 2.0, weak))
+    initial.insert(a, Pose2())
+    initial.insert(b, Pose2(2, 0, 0))
+    solution = solve_robust(graph, [], initial)
+    assert solution.thrown_out == 0 and solution.graph.size() == graph.size()
+    assert solution.values.atPose2(b).equals(Pose2(2, 0, 0), 1e-6)

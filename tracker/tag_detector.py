@@ -90,7 +90,7 @@ class TagDetector:
         first = fit_tags(regions, self.camera, starts[0])
         if first is None:
             return []
-        if len(tags) == 1 and tags[0].face < SIDES:
+        if len(tags) == 1 and tags[0].face < SIDES and regions[0].is_small:
             starts = [*starts, self._mirrored(first.pose, tags[0].face)]
         found = [first]
         for start in starts[1:]:

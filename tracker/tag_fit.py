@@ -1,14 +1,14 @@
 """The pose of a robot from every pixel of its tags: predicted grey levels are fitted to the picture.
 
-A face is light with dark modules; lens, motion and the pixels' area smear it, as a Gaussian of covariance
-[[A, C], [C, B]] pixels^2. Along a straight edge only the sigma across it matters, so
+A face is light with dark modules; lens and motion smear it as a Gaussian of covariance [[A, C], [C, B]] pixels^2, and
+the pixels' area as a box. Along a straight edge only the smear across it matters, so
 
-    light(s, t) = 1 - sum_ij D_ij box_j(s) box_i(t),    box_k(s) = Phi((s - s_k) / sigma_s) - Phi((s - s_k+1) / sigma_s)
+    light(s, t) = 1 - sum_ij D_ij box_j(s) box_i(t),    box_k(s) = step(s - s_k) - step(s - s_k+1), smeared,
 
 with (s, t) where the ray through a pixel's centre meets the face, in modules from its middle, right and down. Grey
 levels are linear in a dark level, a gain, its slopes across the picture, and what lies beyond the edges of a small
 face. These are eliminated (variable projection: Golub and Pereyra 1973, Kaufman 1975); Gauss-Newton finds the others.
-The covariance is at least the sandwich of White (1980) with the pixels of a module as a cluster: they may err together.
+The covariance is at least the sandwich of White (1980), the pixels of a module being a cluster: they may err together.
 """
 
 from dataclasses import dataclass
@@ -21,12 +21,13 @@ from tracker.camera import Camera
 from tracker.tag_region import HALF, Region
 
 STEPS = 15
-CONVERGED = 0.03  # sigmas of the pose
-BLUR_START = np.array([0.5, 0.5, 0.0])  # A, B, C, px^2
-BLUR_SIGMA = np.array([3.0, 3.0, 1.0])  # and how well that is known
-LEAST_BLUR = 0.1  # of A and B, px^2: a pixel's area has 1/12
+CONVERGED = 0.1  # sigmas of the pose
+BLUR_START = np.array([0.4, 0.4, 0.0])  # A, B, C, px^2
+BLUR_SIGMA = np.array([0.6, 0.6, 0.15])  # and how well that is known
+LEAST_BLUR = 0.02  # of A and B, px^2
 HUBER = 4.0  # sigmas
 LEAST_VARIANCE = 1 / 12  # of a grey level: it is rounded
+LEAST_RATIO = 0.8  # of the sandwich to the covariance of independent pixels; it is known to some 10 % only
 LINES = np.arange(-HALF, HALF + 1)  # between modules
 DARK, LIGHT = 0.1, 0.9  # what is less or more than that is taken for the noise of dark and light
 
@@ -106,13 +107,9 @@ def _linearized(region: Region, camera: Camera, pose: np.ndarray, blur: np.ndarr
     if met is None:
         return None
     s, t, ds, dt, across_s, across_t = met
-    weights3 = np.stack([across_s[0] ** 2, across_s[1] ** 2, 2 * across_s[0] * across_s[1]])
-    var_s = blur @ weights3
-    weights3_t = np.stack([across_t[0] ** 2, across_t[1] ** 2, 2 * across_t[0] * across_t[1]])
-    var_t = blur @ weights3_t
-    sigma_s, sigma_t = np.sqrt(var_s), np.sqrt(var_t)
-    box_s, box_s_by_s, box_s_by_sigma = _boxes(s, sigma_s)
-    box_t, box_t_by_t, box_t_by_sigma = _boxes(t, sigma_t)
+    (share_s, sigma_s, width_s), (share_t, sigma_t, width_t) = (_smear(blur, across) for across in (across_s, across_t))
+    box_s, box_s_by_s, box_s_by_sigma = _boxes(s, sigma_s, width_s)
+    box_t, box_t_by_t, box_t_by_sigma = _boxes(t, sigma_t, width_t)
     columns, rows = box_s @ region.dark.T, box_t  # (N, 8) over the rows of the tag
     light = 1 - np.sum(columns * rows, axis=1)
     by_s = -np.sum((box_s_by_s @ region.dark.T) * rows, axis=1)
@@ -120,7 +117,7 @@ def _linearized(region: Region, camera: Camera, pose: np.ndarray, blur: np.ndarr
     by_sigma_s = -np.sum((box_s_by_sigma @ region.dark.T) * rows, axis=1)
     by_sigma_t = -np.sum(columns * box_t_by_sigma, axis=1)
     by_pose = by_s * ds + by_t * dt
-    by_blur = by_sigma_s / (2 * sigma_s) * weights3 + by_sigma_t / (2 * sigma_t) * weights3_t
+    by_blur = by_sigma_s / (2 * sigma_s) * share_s + by_sigma_t / (2 * sigma_t) * share_t
     basis = [np.ones_like(light), light, light * region.place[:, 0], light * region.place[:, 1]]
     if region.is_small:
         edge = region.face_edge
@@ -176,12 +173,28 @@ def _met(region: Region, camera: Camera, pose: np.ndarray):
     return s, t, ds, dt, across_s, across_t
 
 
-def _boxes(s: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(N, 8) share of each module under the smeared point, and its derivatives by s and by sigma."""
-    z = (s[:, None] - LINES) / sigma[:, None]
-    bell = np.exp(-0.5 * z * z) / (np.sqrt(2 * np.pi) * sigma[:, None])
-    step = ndtr(z)
-    return step[:, :-1] - step[:, 1:], bell[:, :-1] - bell[:, 1:], (bell * z)[:, 1:] - (bell * z)[:, :-1]
+def _smear(blur: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What smears a point across the lines of the tag: (3, N) shares of A, B, C in the variance, (N,) sigma of the
+    Gaussian, (N,) width of the box. A pixel's square is a box along its longer extent, a part of the sigma across."""
+    share = np.stack([across[0] ** 2, across[1] ** 2, 2 * across[0] * across[1]])
+    extent = np.abs(across)
+    width = extent.max(axis=0)
+    return share, np.sqrt(blur @ share + extent.min(axis=0) ** 2 / 12), width
+
+
+def _boxes(s: np.ndarray, sigma: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(N, 8) share of each module under the smeared point, and its derivatives by s and by sigma.
+
+    A step smeared by a Gaussian and a box is a difference of the Gaussian's second integral x Phi(x) + phi(x).
+    """
+    from_line, sigma, width = s[:, None] - LINES, sigma[:, None], width[:, None]
+    steps = []
+    for side in (0.5, -0.5):
+        z = (from_line + side * width) / sigma
+        bell, below = np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi), ndtr(z)
+        steps.append((sigma * (z * below + bell) / width, below / width, bell / width))
+    step, by_s, by_sigma = (one - other for one, other in zip(*steps, strict=True))
+    return step[:, :-1] - step[:, 1:], by_s[:, :-1] - by_s[:, 1:], by_sigma[:, :-1] - by_sigma[:, 1:]
 
 
 def _noise_of(parts: list[_Linearized]) -> Noise:
@@ -214,7 +227,9 @@ def _concluded(regions: list[Region], parts: list[_Linearized], pose, blur, inve
         clusters += count
     sandwich = inverse @ scatter @ inverse * (clusters / max(clusters - 6 - 4 * len(parts), 1))
     plain = inverse * max(chi_square / dof, 1e-3)
-    inflation = max(1.0, float(np.mean(np.diag(sandwich)[:3] / np.diag(plain)[:3])))
+    ratios = np.diag(sandwich)[:3] / np.diag(plain)[:3]
+    is_small = any(region.is_small for region in regions)  # few cells, and a picture that the model simplifies
+    inflation = float(max(1.0, ratios.max()) if is_small else max(LEAST_RATIO, ratios.mean()))
     explained = [1 - np.var(part.residual) / max(np.var(region.grey), 1e-9) for region, part in zip(regions, parts)]
     return TagFit(
         pose,

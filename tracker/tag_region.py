@@ -15,7 +15,8 @@ MARGIN = 0.75  # modules around the tag that are looked at, at most
 LEAST_MARGIN = 0.2
 FROM_EDGE_PX = 1.3  # pixels are so far from the face's edge: what is beyond is unknown
 NEAR_EDGE_PX = 3.0  # farther from every line between modules a pixel says nothing of the pose
-MOST_PIXELS = 1600  # of a tag
+MOST_PIXELS = 900  # of a tag
+CELL_PX = 4.0  # edge of a cell whose pixels may err together, at least
 SMALL_PX = 6.0  # size of a module below which the face's edges smear into the margin
 SQUARE = np.array([[-HALF, -HALF], [HALF, -HALF], [HALF, HALF], [-HALF, HALF]])  # a tag's corners, t downwards
 
@@ -26,7 +27,7 @@ class Region:
 
     grey: np.ndarray  # (N,) grey levels
     directions: np.ndarray  # (3, N) of the rays, in the observer's body, at depth 1 along the optical axis
-    cells: np.ndarray  # (N,) number of the module on which a pixel lies
+    cells: np.ndarray  # (N,) number of the cell, one or a few modules, in which a pixel lies
     place: np.ndarray  # (N, 2) in the region, -1 to 1 along columns and rows
     dark: np.ndarray  # (8, 8) 1.0 where a module is dark; rows from the top
     middle: np.ndarray  # (3,) of the face, in the target's body
@@ -59,12 +60,13 @@ def region_of(image: np.ndarray, camera: Camera, cube: TagCube, tag: Tag, rays: 
         return None
     place = np.column_stack([columns, rows]).astype(float)
     place = 2 * (place - place.min(axis=0)) / np.maximum(np.ptp(place, axis=0), 1) - 1
-    cells = np.floor(s[keep] + HALF + 1).astype(int) + 2 * MODULES * np.floor(t[keep] + HALF + 1).astype(int)
+    across = max(CELL_PX / size_px, 1.0)  # modules of a cell
+    cells = np.floor((s[keep] + HALF) / across).astype(int), np.floor((t[keep] + HALF) / across).astype(int)
     axes = cube.face_axes(tag.face)
     return Region(
         grey=image[rows + first[1], columns + first[0]].astype(float),
         directions=camera.mount.R_body_camera @ np.vstack([seen[keep].T, np.ones(len(keep))]),
-        cells=np.unique(cells, return_inverse=True)[1],
+        cells=np.unique(cells[0] + 4 * MODULES * cells[1], return_inverse=True)[1],
         place=place,
         dark=_dark_modules(cube.ids[tag.face]),
         middle=cube.centre_body + cube.face_m / 2 * axes[2],

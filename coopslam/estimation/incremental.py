@@ -139,6 +139,8 @@ class IncrementalEstimate(Estimate):
             return function(key)
         except IndexError as error:
             raise UnderDetermined(f"{describe(key, self.robots)} has no estimate: the update failed") from error
+        except RuntimeError as error:  # iSAM2 solves when it is first asked
+            raise in_words(error, self._owner.graph, self._owner._isam.getLinearizationPoint(), self.robots) from error
 
     def _covariances(self, keys: Sequence[int]) -> np.ndarray:
         """iSAM2's tree is as deep as the run is long; a balanced one answers for many poses faster."""

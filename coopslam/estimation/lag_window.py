@@ -30,6 +30,7 @@ class LagWindow:
         self._system: gtsam.GaussianFactorGraph | None = None  # what was solved last
         self._tree: gtsam.GaussianBayesTree | None = None  # the same, eliminated
         self._exact: Covariances | None = None  # the same by QR, where the tree fails
+        self._is_stiff = False  # sigmas so far apart that Cholesky loses the large ones
         self._size = 0  # variables that were solved last
 
     def add(self, factor: gtsam.NonlinearFactor) -> None:
@@ -64,7 +65,7 @@ class LagWindow:
         for _ in range(rounds):
             linear = self._linear(graph)
             ordering = ordering or gtsam.Ordering.ColamdGaussianFactorGraph(linear)  # better than METIS when small
-            tree = _elimination(linear, ordering)
+            tree, self._is_stiff = _elimination(linear, ordering)
             step = tree.optimize()
             self._system, self._tree = linear, tree
             for _ in range(_HALVINGS):
@@ -109,17 +110,19 @@ class LagWindow:
     def _told(
         self, keys: Sequence[int], ask_tree: Callable[..., np.ndarray], ask_exact: Callable[..., np.ndarray]
     ) -> np.ndarray:
-        """By the tree, which uses Cholesky; by QR, far slower, where that takes a direction for an open one."""
+        """By the tree, which uses Cholesky; by QR, far slower, where that gave up, as what it tells is wrong then."""
         if self._tree is None:
             raise UnderDetermined(f"{self._names(keys)}: no covariance, the update failed")
-        try:
-            return deep_stack.call(ask_tree, self._tree, variables=self._size)
-        except IndexError as error:
-            raise UnderDetermined(f"{self._names(keys)}: no covariance, nothing ties it down") from error
-        except RuntimeError:
-            if self._exact is None:
-                self._exact = Covariances.of_linear(self._system, self._robots)
-            return ask_exact(self._exact)
+        if not self._is_stiff:
+            try:
+                return deep_stack.call(ask_tree, self._tree, variables=self._size)
+            except IndexError as error:
+                raise UnderDetermined(f"{self._names(keys)}: no covariance, nothing ties it down") from error
+            except RuntimeError:
+                self._is_stiff = True
+        if self._exact is None:
+            self._exact = Covariances.of_linear(self._system, self._robots)
+        return ask_exact(self._exact)
 
     def _names(self, keys: Iterable[int]) -> str:
         return ", ".join(describe(key, self._robots, self._landmarks) for key in keys)
@@ -146,9 +149,9 @@ class LagWindow:
             self.values.erase(key)
 
 
-def _elimination(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gtsam.GaussianBayesTree:
-    """The Bayes tree: by Cholesky, and by QR, half as fast, where that takes a direction for an open one."""
+def _elimination(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> tuple[gtsam.GaussianBayesTree, bool]:
+    """The Bayes tree by Cholesky, or by QR, half as fast, where that sees an open direction; and whether it was QR."""
     try:
-        return linear.eliminateMultifrontal(ordering)
+        return linear.eliminateMultifrontal(ordering), False
     except RuntimeError:
-        return linear.eliminateMultifrontal(ordering, gtsam.EliminateQR)
+        return linear.eliminateMultifrontal(ordering, gtsam.EliminateQR), True

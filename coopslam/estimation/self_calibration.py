@@ -30,6 +30,7 @@ from coopslam.estimation.driven_path import driven_paths
 from coopslam.estimation.incremental import Incremental
 from coopslam.estimation.loss import Loss
 from coopslam.estimation.offline import SmoothSettings, require_connected
+from coopslam.estimation.ordering import nested_dissection
 from coopslam.estimation.parameter_step import DEFAULTS, best_change, reduced
 from coopslam.estimation.rebuilt_graph import Rebuilt, Solution, rebuilt
 from coopslam.estimation.replay import Replay, in_groups, replay
@@ -174,7 +175,7 @@ def _start(
 def _relaxed(found: Rebuilt) -> gtsam.Values:
     """Values near the minimum of the graph."""
     parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setOrdering(gtsam.Ordering.MetisNonlinearFactorGraph(found.graph))
+    parameters.setOrdering(nested_dissection(found.graph))
     parameters.setRelativeErrorTol(_ROUGH)
     try:
         return gtsam.LevenbergMarquardtOptimizer(found.graph, found.values, parameters).optimize()

@@ -8,6 +8,7 @@ import numpy as np
 from coopslam.errors import BadInput
 from coopslam.estimation.covariances import Covariances
 from coopslam.estimation.graph_check import check
+from coopslam.estimation.ordering import nested_dissection
 from coopslam.se2 import position, rotation
 
 
@@ -25,7 +26,7 @@ def bound_rmse_aligned(graph: gtsam.NonlinearFactorGraph, truth: gtsam.Values, p
     covariances = Covariances(graph, truth)
     total = sum(np.trace(covariances.marginal(key)[:2, :2]) for key in position_keys)
     linear = graph.linearize(truth)
-    factor = linear.eliminateSequential(gtsam.Ordering.MetisGaussianFactorGraph(linear), gtsam.EliminateQR)
+    factor = linear.eliminateSequential(nested_dissection(linear), gtsam.EliminateQR)
     removed = sum(_variance_along(factor, truth, motion) for motion in _rigid_motions(truth, position_keys))
     return float(np.sqrt(max(total - removed, 0.0) / len(position_keys)))
 

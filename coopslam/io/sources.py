@@ -53,6 +53,8 @@ def open_log(path: str | Path) -> LogSource:
         is_directory = path.is_dir()
         if not path.exists():
             raise BadInput(f"{_short(path)}: does not exist; expected {UNDERSTOOD}")
+        if not is_directory and not path.is_file():  # a pipe that nobody may ever write to
+            raise BadInput(f"{_short(path)}: neither a file nor a directory; expected {UNDERSTOOD}")
         if is_directory and (path / "log.mcap").exists():
             return RunLogSource(path)
         if is_directory and is_mrclam(path):

@@ -33,6 +33,7 @@ from scipy.sparse import coo_array, csr_array, eye_array
 
 from coopslam.estimation.estimate import Estimate
 from coopslam.estimation.graph_check import in_words
+from coopslam.estimation.ordering import nested_dissection
 from coopslam.exploration.free_map import FreeMap
 from coopslam.se2 import Pose2, planar_rotation, position, xytheta
 
@@ -134,7 +135,7 @@ class RecordedOdometry:
         linear = graph.linearize(self._values)
         residuals, left, unwhiten = (np.empty((len(self.legs), *shape)) for shape in ((3,), (3, 3), (3, 3)))
         try:
-            ordering = gtsam.Ordering.MetisGaussianFactorGraph(linear)
+            ordering = nested_dissection(linear)
             tree = linear.eliminateMultifrontal(ordering, gtsam.EliminateQR)
             step = tree.optimize()
             for k, leg in enumerate(self.legs):
