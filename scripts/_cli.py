@@ -23,6 +23,9 @@ class OneLineParser(argparse.ArgumentParser):
 
 def run(main: Callable[[Sequence[str] | None], int], arguments: Sequence[str] | None = None) -> int:
     """The exit code of `main`; errors of ours become a line, unknown ones keep their traceback."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")  # file names may hold what the terminal cannot show
     try:
         return main(arguments)
     except CoopSlamError as error:

@@ -156,12 +156,12 @@ def _estimator(recording: Recording, outcome: Outcome, score: ReplayScore | None
         {name: turn @ belief.cov @ turn.T for name, belief in beliefs.items()},
         outcome.replay.latencies_s if causal_updates else np.zeros(0),
         outcome.replay.poses if causal_updates else np.zeros(0),
-        _exchange_errors(recording, score.errors),
+        _exchange_errors(recording, score.anchored),
     )
 
 
 def _exchange_errors(recording: Recording, errors: TeamErrors | None) -> np.ndarray:
-    """(E,) m, of the robot that drove, at the end of the last leg before each exchange of roles."""
+    """(E,) m, relative to the first start: of the robot that drove, at the end of the last leg before each exchange."""
     found, last = [], None
     for move in (record for record in recording.records if isinstance(record, MoveNote)):
         if errors is not None and last is not None and move.robot != last.robot and last.robot in errors.robots:

@@ -362,7 +362,7 @@ def test_a_robot_in_the_header_that_has_no_records_is_counted(tmp_path, estimato
     log = written(tmp_path / "x.mcap", LogHeader(("a", "ghost")), drive(1), drive(2))
     code, said, summary = replayed(log, estimator)
     assert code == 0 and summary["records"]["dropped"] == {"ghost: no records of it": 1}, said
-    assert [path.name for path in sorted(tmp_path.rglob("*.tum"))] == ["a.causal.tum", "a.tum"]
+    assert {path.name for path in tmp_path.rglob("*.tum")} - {"a.causal.tum"} == {"a.tum"}
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
@@ -387,11 +387,13 @@ def test_a_name_with_brackets_is_no_markup(tmp_path, capsys):
     assert "<b>.pyfg" not in report and "&lt;b&gt;" in report
 
 
-@pytest.mark.parametrize("name", [b"\xff.pyfg", b"l\xc3\xb6g.pyfg", b"new\nline.pyfg"])
-def test_names_that_are_no_text_in_some_encoding(tmp_path, name):
-    """In a process of its own: what a terminal cannot show must not end the run."""
+@pytest.mark.parametrize(
+    ("name", "encoding"), [(b"\xff.pyfg", "utf-8:strict"), (b"l\xc3\xb6g.pyfg", "ascii"), (b"two\nlines.pyfg", "utf-8")]
+)
+def test_names_that_a_terminal_cannot_show(tmp_path, name, encoding):
+    """In a process of its own, since the encoding is chosen when Python starts."""
     log = os.path.join(os.fsencode(tmp_path), name)
     shutil.copy(PYFG, log)
     command = [sys.executable, SCRIPTS / "replay.py", log, "--figures", "none", "--out", tmp_path / "out"]
-    done = subprocess.run(command, capture_output=True, env={**os.environ, "PYTHONIOENCODING": "", "LC_ALL": "C.UTF-8"})
+    done = subprocess.run(command, capture_output=True, env={**os.environ, "PYTHONIOENCODING": encoding})
     assert done.returncode == 0 and done.stderr == b"", done.stderr.decode(errors="replace")

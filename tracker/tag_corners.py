@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopslam.se2 import Pose2, rotation, wrap
+from coopslam.se2 import rotation, wrap
 from tracker.camera import Camera
 from tracker.tag_cube import TOP, TagCube
 
@@ -45,11 +45,6 @@ def corner_minima(camera: Camera, cube: TagCube, tags: list[Tag]) -> list[Corner
         if np.isfinite(costs[k]) and all(abs(wrap(poses[k, 2] - other.pose[2])) > SAME_RAD for other in found):
             found.append(CornerFit(poses[k], float(costs[k])))
     return found
-
-
-def to_pose(pose: np.ndarray) -> Pose2:
-    """(3,) x, y, theta as a pose."""
-    return Pose2(*pose)
 
 
 def _corners_of(cube: TagCube, face: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from tracker.detector import Detection, require_picture
 from tracker.lens import Lens
 from tracker.tag_corners import Tag, corner_minima
 from tracker.tag_cube import FAMILY, SIDES, TagCube
-from tracker.tag_fit import TagFit, fit_tags
+from tracker.tag_fit import SMALL_PX, TagFit, fit_tags
 from tracker.tag_region import Region, region_of
 
 
@@ -90,7 +90,7 @@ class TagDetector:
         first = fit_tags(regions, self.camera, starts[0])
         if first is None:
             return []
-        if len(tags) == 1 and tags[0].face < SIDES and regions[0].is_small:
+        if len(tags) == 1 and tags[0].face < SIDES and regions[0].module_px < SMALL_PX:
             starts = [*starts, self._mirrored(first.pose, tags[0].face)]
         found = [first]
         for start in starts[1:]:
@@ -110,20 +110,21 @@ class TagDetector:
         return np.array([*(seen - rotation(heading) @ middle), heading])
 
     def _detection(self, fits: list[TagFit], tags: list[Tag]) -> Detection:
-        """One pose, or with an open heading the mean and covariance over those that remain."""
+        """One pose; with an open heading the mean of those that remain, all equally likely, and the covariance over them.
+
+        The difference that is too small to decide is too small for odds as well: it rests on how pixels blur.
+        """
         best, limits = fits[0], self.settings
         worse = np.array([(fit.chi_square - best.chi_square) / best.scale for fit in fits])
         remaining = [fit for fit, distance in zip(fits, worse, strict=True) if distance < limits.distance_sq_min]
         features = tuple(np.vstack([tag.corners_px, tag.corners_px[:1]]) for tag in tags)
-        known = len(remaining) == 1 and best.cov[2, 2] <= limits.heading_sigma_max_rad**2
-        if known or len(remaining) == 1:
+        if len(remaining) == 1:
+            known = bool(best.cov[2, 2] <= limits.heading_sigma_max_rad**2)
             return Detection(Pose2(*best.pose), _symmetric(best.cov), known, features)
-        odds = np.exp(-0.5 * worse[worse < limits.distance_sq_min])
-        odds /= odds.sum()
         poses = np.array([fit.pose for fit in remaining])
         poses[:, 2] = best.pose[2] + wrap(poses[:, 2] - best.pose[2])
-        mean = odds @ poses
-        cov = sum(share * (fit.cov + np.outer(p - mean, p - mean)) for share, fit, p in zip(odds, remaining, poses))
+        mean, apart = poses.mean(axis=0), poses - poses.mean(axis=0)
+        cov = (sum(fit.cov for fit in remaining) + apart.T @ apart) / len(remaining)
         return Detection(Pose2(*mean), _symmetric(cov), False, features)
 
 

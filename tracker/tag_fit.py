@@ -27,6 +27,8 @@ BLUR_SIGMA = np.array([0.6, 0.6, 0.15])  # and how well that is known
 LEAST_BLUR = 0.02  # of A and B, px^2
 HUBER = 4.0  # sigmas
 LEAST_VARIANCE = 1 / 12  # of a grey level: it is rounded
+SMALL_PX = 6.0  # modules below which the face's edges smear into what is looked at
+TINY_PX = 3.2  # modules below which there are few cells, and the prediction is a little too simple
 LEAST_RATIO = 0.8  # of the sandwich to the covariance of independent pixels; it is known to some 10 % only
 LINES = np.arange(-HALF, HALF + 1)  # between modules
 DARK, LIGHT = 0.1, 0.9  # what is less or more than that is taken for the noise of dark and light
@@ -119,7 +121,7 @@ def _linearized(region: Region, camera: Camera, pose: np.ndarray, blur: np.ndarr
     by_pose = by_s * ds + by_t * dt
     by_blur = by_sigma_s / (2 * sigma_s) * share_s + by_sigma_t / (2 * sigma_t) * share_t
     basis = [np.ones_like(light), light, light * region.place[:, 0], light * region.place[:, 1]]
-    if region.is_small:
+    if region.module_px < SMALL_PX:
         edge = region.face_edge
         basis += [ndtr((-edge - s) / sigma_s), ndtr((s - edge) / sigma_s)]
         basis += [ndtr((-edge - t) / sigma_t), ndtr((t - edge) / sigma_t)]
@@ -228,8 +230,8 @@ def _concluded(regions: list[Region], parts: list[_Linearized], pose, blur, inve
     sandwich = inverse @ scatter @ inverse * (clusters / max(clusters - 6 - 4 * len(parts), 1))
     plain = inverse * max(chi_square / dof, 1e-3)
     ratios = np.diag(sandwich)[:3] / np.diag(plain)[:3]
-    is_small = any(region.is_small for region in regions)  # few cells, and a picture that the model simplifies
-    inflation = float(max(1.0, ratios.max()) if is_small else max(LEAST_RATIO, ratios.mean()))
+    is_tiny = any(region.module_px < TINY_PX for region in regions)
+    inflation = float(max(1.0, ratios.max()) if is_tiny else max(LEAST_RATIO, ratios.mean()))
     explained = [1 - np.var(part.residual) / max(np.var(region.grey), 1e-9) for region, part in zip(regions, parts)]
     return TagFit(
         pose,

@@ -17,7 +17,6 @@ FROM_EDGE_PX = 1.3  # pixels are so far from the face's edge: what is beyond is 
 NEAR_EDGE_PX = 3.0  # farther from every line between modules a pixel says nothing of the pose
 MOST_PIXELS = 900  # of a tag
 CELL_PX = 4.0  # edge of a cell whose pixels may err together, at least
-SMALL_PX = 6.0  # size of a module below which the face's edges smear into the margin
 SQUARE = np.array([[-HALF, -HALF], [HALF, -HALF], [HALF, HALF], [-HALF, HALF]])  # a tag's corners, t downwards
 
 
@@ -34,7 +33,7 @@ class Region:
     axes: np.ndarray  # (3, 3) rows: right, up, outward, in the target's body
     modules_per_m: float
     face_edge: float  # modules from the face's middle to its edge
-    is_small: bool
+    module_px: float  # its edge in the picture
 
 
 def region_of(image: np.ndarray, camera: Camera, cube: TagCube, tag: Tag, rays: np.ndarray) -> Region | None:
@@ -73,7 +72,7 @@ def region_of(image: np.ndarray, camera: Camera, cube: TagCube, tag: Tag, rays: 
         axes=axes,
         modules_per_m=MODULES / cube.tag_m,
         face_edge=HALF * cube.face_m / cube.tag_m,
-        is_small=bool(size_px < SMALL_PX),
+        module_px=float(size_px),
     )
 
 

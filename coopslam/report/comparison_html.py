@@ -1,6 +1,5 @@
 """The report of a replayed log and of estimators compared on it: a single HTML file that needs nothing else."""
 
-import base64
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -10,8 +9,8 @@ import numpy as np
 from coopslam.report.comparison_figures import best_estimator
 from coopslam.report.comparison_panels import nis_text, number
 from coopslam.report.comparison_view import ComparisonView, EstimatorView
-from coopslam.report.html import _table as table
-from coopslam.report.html_text import HOW_TO_READ, STYLE
+from coopslam.report.html_page import explained, figures, table, write_page
+from coopslam.report.html_text import HOW_TO_READ
 from coopslam.report.number_text import DASH, count, digits, length, scaled
 
 DEGREES = 180 / np.pi
@@ -110,17 +109,10 @@ def write_comparison_report(path: Path, view: ComparisonView, drawn: Sequence[Pa
         _robots(view.estimators),
         _nis(view.estimators),
         _records(view),
-        _figures(drawn),
-        _words(),
+        figures(drawn, CAPTIONS),
+        explained(WORDS),
     ]
-    head = (
-        '<meta charset="utf-8">\n<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(view.log)}: replay</title>\n<style>{STYLE}</style>"
-    )
-    body = "\n".join(section for section in sections if section)
-    page = f"<head>\n{head}\n</head>\n<body>\n<main>\n{body}\n</main>\n</body>"
-    text = f'<!DOCTYPE html>\n<html lang="en">\n{page}\n</html>\n'
-    path.write_text(text, encoding="utf-8", errors="replace")
+    write_page(path, f"{view.log}: replay", sections)
 
 
 def _headline(view: ComparisonView) -> str:
@@ -259,21 +251,3 @@ def _records(view: ComparisonView) -> str:
         rows = [[why, *(count(dropped.get(why)) for dropped in droppers.values())] for why in reasons]
         lines += ["<h2>Records that were dropped</h2>", table(["reason", *droppers], rows)]
     return "\n".join(lines)
-
-
-def _figures(drawn: Sequence[Path]) -> str:
-    return "<h2>Figures</h2>\n" + "\n".join(_figure(path) for path in drawn) if drawn else ""
-
-
-def _figure(path: Path) -> str:
-    title, caption = CAPTIONS.get(path.stem, (path.stem.replace("_", " "), ""))
-    data = f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
-    return (
-        f'<figure><div class="picture"><img src="{data}" alt="{escape(title)}"></div>\n'
-        f"<figcaption><b>{escape(title)}.</b> {escape(caption)}</figcaption></figure>"
-    )
-
-
-def _words() -> str:
-    words = "\n".join(f"<dt>{escape(word)}</dt><dd>{escape(meaning)}</dd>" for word, meaning in WORDS)
-    return f'<h2>How to read this</h2>\n<dl class="words">\n{words}\n</dl>'

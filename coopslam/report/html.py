@@ -1,7 +1,5 @@
 """The report of one exploration: a single HTML file that needs nothing else."""
 
-import base64
-import mimetypes
 from html import escape
 from pathlib import Path
 
@@ -9,7 +7,9 @@ import numpy as np
 
 from coopslam.report.charts import vertex_errors
 from coopslam.report.ellipses import ellipse_axes
-from coopslam.report.html_text import CAPTIONS, HOW_TO_READ, OUTCOMES, STYLE
+from coopslam.report.html_page import explained, table, write_page
+from coopslam.report.html_page import figures as embedded
+from coopslam.report.html_text import CAPTIONS, HOW_TO_READ, OUTCOMES
 from coopslam.report.number_text import DASH, count, digits, length, percent, scaled
 from coopslam.report.run_view import RunView
 
@@ -29,18 +29,11 @@ def write_report(path: Path, view: RunView, figures: list[Path]) -> None:
         _headline(view),
         _tiles(view.summary),
         _estimators(view.summary),
-        _figures(figures),
-        _how_to_read(),
+        embedded(figures, CAPTIONS),
+        explained(HOW_TO_READ),
         _vertices(view),
     ]
-    head = (
-        '<meta charset="utf-8">\n<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(view.name)}: exploration</title>\n<style>{STYLE}</style>"
-    )
-    body = "\n".join(section for section in sections if section)
-    page = f"<head>\n{head}\n</head>\n<body>\n<main>\n{body}\n</main>\n</body>"
-    text = f'<!DOCTYPE html>\n<html lang="en">\n{page}\n</html>\n'
-    path.write_text(text, encoding="utf-8", errors="replace")
+    write_page(path, f"{view.name}: exploration", sections)
 
 
 def _headline(view: RunView) -> str:
@@ -101,33 +94,7 @@ def _estimators(summary: dict) -> str:
     for name, scores in estimators.items():
         drove = " (drove)" if name == summary.get("estimator") else ""
         rows.append([str(name) + drove, *(scaled(scores.get(key), factor) for _, key, factor in ESTIMATOR_COLUMNS)])
-    return "<h2>Estimators on the records of this run</h2>\n" + _table(["", *(c[0] for c in ESTIMATOR_COLUMNS)], rows)
-
-
-def _figures(figures: list[Path]) -> str:
-    """Every figure on a white card, with its caption."""
-    if not figures:
-        return ""
-    return "<h2>Figures</h2>\n" + "\n".join(_figure(path) for path in figures)
-
-
-def _figure(path: Path) -> str:
-    title, caption = CAPTIONS.get(path.stem, (path.stem.replace("_", " "), ""))
-    media = mimetypes.guess_type(path.name)[0] or "image/png"
-    data = f"data:{media};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
-    if media.startswith("video/"):
-        picture = f'<video controls loop muted playsinline aria-label="{escape(title)}" src="{data}"></video>'
-    else:
-        picture = f'<img src="{data}" alt="{escape(title)}">'
-    return (
-        f'<figure><div class="picture">{picture}</div>\n'
-        f"<figcaption><b>{escape(title)}.</b> {escape(caption)}</figcaption></figure>"
-    )
-
-
-def _how_to_read() -> str:
-    words = "\n".join(f"<dt>{escape(word)}</dt><dd>{escape(meaning)}</dd>" for word, meaning in HOW_TO_READ)
-    return f'<h2>How to read this</h2>\n<dl class="words">\n{words}\n</dl>'
+    return "<h2>Estimators on the records of this run</h2>\n" + table(["", *(c[0] for c in ESTIMATOR_COLUMNS)], rows)
 
 
 def _vertices(view: RunView) -> str:
@@ -148,18 +115,7 @@ def _vertices(view: RunView) -> str:
             rows[-1] += [scaled(error_m, 100), scaled(squared, 1)]
     headings += ["error (cm)", "NEES"] if truth else []
     title = f"All {len(ids)} map vertices"
-    return f"<h2>Vertices</h2>\n<details><summary>{title}</summary>\n{_table(headings, rows)}\n</details>"
-
-
-def _table(headings: list[str], rows: list[list[str]]) -> str:
-    """A table that scrolls sideways on a narrow screen; the first cell of a row names it."""
-    top = "".join(f'<th scope="col">{escape(heading)}</th>' for heading in headings)
-    lines = []
-    for first, *others in rows:
-        cells = "".join(f"<td>{escape(cell)}</td>" for cell in others)
-        lines.append(f'<tr><th scope="row">{escape(first)}</th>{cells}</tr>')
-    body = "\n".join(lines)
-    return f'<div class="wide"><table>\n<thead><tr>{top}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table></div>'
+    return f"<h2>Vertices</h2>\n<details><summary>{title}</summary>\n{table(headings, rows)}\n</details>"
 
 
 def _text(value, absent: str = DASH) -> str:
