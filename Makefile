@@ -18,7 +18,7 @@ explore: $(READY)
 	$(VENV)/bin/python scripts/explore_and_optimize.py $(ARGS)
 
 test: $(TESTABLE)
-	$(VENV)/bin/python -m pytest $(ARGS)
+	$(VENV)/bin/python -m pytest -n auto $(ARGS)
 
 lint: $(READY)
 	$(VENV)/bin/ruff check .

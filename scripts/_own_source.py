@@ -27,21 +27,19 @@ class OwnSource:
     def read(self) -> Log:
         """What the reader reads."""
         log = self._called(lambda: self._source.read())
-        self._require(isinstance(log, Log), f"read() gives {shown(log)}; expected a Log of coopslam.io.log")
-        self._require(isinstance(log.header, LogHeader), f"the header {shown(log.header)}; expected a LogHeader")
+        self._require(isinstance(log, Log), "read() gives {}; expected a Log of coopslam.io.log", log)
+        self._require(isinstance(log.header, LogHeader), "the header {}; expected a LogHeader", log.header)
         log = Log(str(log.name), log.header, self._called(list, log.records), log.dropped)
-        strange = next((record for record in log.records if not isinstance(record, Record)), None)
-        self._require(strange is None, f"the record {shown(strange)}; expected records of coopslam.records")
+        for record in log.records:
+            self._require(isinstance(record, Record), "{}; expected records of coopslam.records", record)
         return log
 
     def truth(self) -> Truth | None:
         """The truth that the reader has."""
         truth = self._called(lambda: self._source.truth())
-        self._require(
-            truth is None or isinstance(truth, Truth), f"truth() gives {shown(truth)}; expected Truth or None"
-        )
-        for robot, track in truth.robots.items() if truth else ():
-            self._require(isinstance(track, TrueTrack), f"the truth of {robot} is {shown(track)}; expected a TrueTrack")
+        self._require(truth is None or isinstance(truth, Truth), "truth() gives {}; expected Truth or None", truth)
+        for track in truth.robots.values() if truth else ():
+            self._require(isinstance(track, TrueTrack), "the truth of a robot is {}; expected a TrueTrack", track)
         return truth
 
     def _called(self, function: Callable, *arguments):
@@ -54,6 +52,7 @@ class OwnSource:
             line = f" in line {steps[-1].lineno}" if steps else ""
             raise BadInput(f"{self._name}: {type(error).__name__}{line}: {str(error)[:300]}") from error
 
-    def _require(self, condition: bool, message: str) -> None:
+    def _require(self, condition: bool, message: str, value) -> None:
+        """message: with {} where the value belongs."""
         if not condition:
-            raise BadInput(f"{self._name}: {message}")
+            raise BadInput(f"{self._name}: {message.format(shown(value))}")

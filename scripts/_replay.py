@@ -47,6 +47,8 @@ class ReplaySettings:
         require_between(0.0, 1e9, from_s=self.from_s)
         if self.to_s is not None:
             require_between(self.from_s, 1e9, to_s=self.to_s)
+        if self.estimation.timeline.random_start is not None:
+            require_between(0, 2**63 - 1, random_start=self.estimation.timeline.random_start)  # what TOML can carry
         if self.calibrate and self.calibration is not None:
             raise BadInput("calibrate: either that or a calibration expected, got both")
         if self.mrclam.range_is_depth and self.calibration is not None and self.calibration.range_is_depth:

@@ -90,19 +90,21 @@ def replay_settings(options: argparse.Namespace) -> ReplaySettings:
 def output_directory(options: argparse.Namespace, name: str, logs: Sequence[Path]) -> Path:
     """The directory of --out, or a new one under runs/. logs: what is replayed.
 
-    Raises BadInput when it holds results already, unless --force is given: then older results are deleted, but never
-    a log that is replayed, nor the calibration that is used.
+    Raises BadInput when it holds results already, unless --force is given: then older results are deleted. Raises
+    BadInput also when the log that is replayed, or the calibration that is used, would be among these.
     """
     out = options.out or fresh_directory(Path("runs") / slug(name))
-    kept = {path.resolve() for log in logs for path in (log, log / "log.mcap") if path.exists()}
+    read = [path for log in logs for path in (log, log / "log.mcap")]
+    read = {
+        path.resolve() for path in (*read, *([options.calibration] if options.calibration else [])) if path.exists()
+    }
     for path in (out / name for name in (*FILES, *FOLDERS)):
-        if path.resolve() in kept:
-            raise BadInput(f"--out {out}: its {path.name} is the log that is replayed; expected another directory")
+        if path.resolve() in read:
+            raise BadInput(f"--out {out}: its {path.name} is what is read; expected another directory")
     older = older_results(out) if options.force else []
     prepare_run_directory(out, options.force)
     for path in older:
-        if options.calibration is None or path.resolve() != options.calibration.resolve():
-            path.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
     return out
 
 
@@ -110,8 +112,8 @@ def older_results(out: Path) -> list[Path]:
     """Files of an older replay or comparison in a directory that `prepare_run_directory` does not know."""
     if not all((out / name).is_file() for name in ("config.toml", "summary.json")) or (out / "log.mcap").exists():
         return []
-    own = ["trajectories/*.tum", "trajectories/*/*.tum", "figures/*.png", "calibration.toml"]
-    many = ["summary.json", "report.html"]  # of one log of several
+    own = ["trajectories/*.tum", "trajectories/*/*.tum", "figures/*.png"]
+    many = ["summary.json", "report.html", "calibration.toml"]  # of one log of several
     patterns = [*own, *(f"[0-9][0-9][0-9]-*/{name}" for name in (*many, *own))]
     return [path for pattern in patterns for path in out.glob(pattern) if path.is_file()]
 

@@ -6,7 +6,6 @@ picture  = Sensor.picture(radiance over background, under what is in front)
 
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 
 from coopslam.errors import require_between

@@ -5,7 +5,7 @@ black border included, in the middle of a white face.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from math import pi
 
 import cv2
@@ -126,7 +126,7 @@ class TagCube:
         return on_tag & _modules(tag)[row.clip(0, MODULES - 1), column.clip(0, MODULES - 1)]
 
 
-@lru_cache(maxsize=None)
+@cache
 def _modules(tag: int) -> np.ndarray:
     """(8, 8) which modules of a tag are dark."""
     return cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(FAMILY), tag, MODULES) == 0

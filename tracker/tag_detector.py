@@ -1,7 +1,7 @@
 """Finds a robot by the AprilTags of its cube: aruco reads the tags, a fit of all their pixels measures the pose.
 
-A single tag seen from the front leaves two headings, mirrored about the line of sight. Both are tried; where the picture
-does not tell them apart, the heading is withheld and the position's covariance covers both.
+A single tag seen from the front leaves two headings, mirrored about the line of sight. Both are tried; where the
+picture does not tell them apart, the heading is withheld and the position's covariance covers both.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from tracker.tag_region import Region, region_of
 class TagDetectorSettings:
     """When a detection is believed. Raises BadInput naming the field."""
 
-    corner_error_max_px: float = 2.0  # root mean square over the corners, of aruco's corners against one pose
+    corner_error_max_px: float = 5.0  # root mean square of aruco's corners against one pose; its refinement may slip
     explained_min: float = 0.85  # share of the picture's variance on a tag that the prediction must explain
     contrast_min: float = 8.0  # grey levels between light and dark
     corner_sigma_px: float = 0.5  # of aruco's corners: which minima of theirs are tried
@@ -61,7 +61,7 @@ class TagDetector:
 
     def _tags(self, image: np.ndarray) -> list[Tag]:
         """The cube's own tags in the picture, the largest first, none of them twice."""
-        corners, ids, _ = self._aruco.detectMarkers(image)
+        corners, ids, _ = self._aruco.detectMarkers(np.ascontiguousarray(image))
         found: dict[int, Tag] = {}
         known = [] if ids is None else zip(ids.ravel().tolist(), corners, strict=True)
         for tag, four in sorted(known, key=lambda item: -cv2.contourArea(item[1])):
@@ -93,6 +93,8 @@ class TagDetector:
         if len(tags) == 1 and tags[0].face < SIDES and regions[0].module_px < SMALL_PX:
             starts = [*starts, self._mirrored(first.pose, tags[0].face)]
         found = [first]
+        if len(starts) > 1:  # all with the same noise of the pixels
+            found = [fit_tags(regions, self.camera, first.pose, first.noise) or first]
         for start in starts[1:]:
             fit = fit_tags(regions, self.camera, start, first.noise)
             if fit is not None and all(abs(wrap(fit.pose[2] - other.pose[2])) > 0.01 for other in found):
@@ -110,7 +112,7 @@ class TagDetector:
         return np.array([*(seen - rotation(heading) @ middle), heading])
 
     def _detection(self, fits: list[TagFit], tags: list[Tag]) -> Detection:
-        """One pose; with an open heading the mean of those that remain, all equally likely, and the covariance over them.
+        """One pose; with an open heading the mean of all that remain, equally likely, and the covariance over them.
 
         The difference that is too small to decide is too small for odds as well: it rests on how pixels blur.
         """

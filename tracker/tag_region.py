@@ -15,7 +15,7 @@ MARGIN = 0.75  # modules around the tag that are looked at, at most
 LEAST_MARGIN = 0.2
 FROM_EDGE_PX = 1.3  # pixels are so far from the face's edge: what is beyond is unknown
 NEAR_EDGE_PX = 3.0  # farther from every line between modules a pixel says nothing of the pose
-MOST_PIXELS = 900  # of a tag
+MOST_PIXELS = 600  # of a tag
 CELL_PX = 4.0  # edge of a cell whose pixels may err together, at least
 SQUARE = np.array([[-HALF, -HALF], [HALF, -HALF], [HALF, HALF], [-HALF, HALF]])  # a tag's corners, t downwards
 

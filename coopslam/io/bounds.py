@@ -27,6 +27,7 @@ from coopslam.se2 import Pose2
 
 FARTHEST = 1e9  # m; rad for bearings
 LARGEST_VARIANCE = 1e18  # m^2 or rad^2
+SMALLEST_SIGMA = 1e-9  # m or rad; the square of its inverse must not overflow either
 NEAREST_M = 1e-6  # a bearing to what is nearer says nothing
 
 # what is measured, how well, and the stamp beside `stamp_s`
@@ -91,6 +92,10 @@ def _require_numbers(records: Sequence[Record], measured: str, noise: str, first
             record = f"{type(records[k]).__name__} at t = {records[k].stamp_s:.3f} s"
             largest = float(np.abs(numbers[k]).max())
             raise BadInput(f"{where}: {record}: {field} holds {largest:g}; expected at most {limit:g}")
+    for record in records if noise.startswith("sigma") else ():
+        if getattr(record, noise) < SMALLEST_SIGMA:
+            said = f"{type(record).__name__} at t = {record.stamp_s:.3f} s: {noise} is {getattr(record, noise):g}"
+            raise BadInput(f"{where}: {said}; expected at least {SMALLEST_SIGMA:g}")
 
 
 def _numbers(value) -> Iterable[float]:
