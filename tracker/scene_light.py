@@ -29,5 +29,5 @@ class Light:
         return np.array([level * cos(azimuth), level * sin(azimuth), sin(self.elevation_rad)])
 
     def irradiance(self, normals: np.ndarray, frame_heading_rad: float = 0.0) -> np.ndarray:
-        """(N,) irradiance of surfaces with (3, N) unit normals, in axes turned by the heading: E = a + d max(0, n l)."""
+        """(N,) irradiance of surfaces with (3, N) unit normals, in axes turned by it: E = a + d max(0, n l)."""
         return self.ambient + self.direct * np.maximum(self.direction(frame_heading_rad) @ normals, 0.0)
