@@ -1,8 +1,8 @@
 """The paper's target: a cylinder with a helical stripe, whose height along a generator tells the robot's heading.
 
 From bottom to top the cylinder is: a light collar, a dark ring, the helix, a dark ring, a light collar. The pattern
-ends where ring and collar meet (`bottom_m`, `top_m`). These two edges lie on the target itself, light against dark all
-the way round, whatever is behind the robot: that makes range well-posed (where are the ends?) apart from heading
+ends where ring and collar meet (`bottom_m`, `top_m`). These two edges lie on the target itself, light against dark
+all the way round, whatever is behind the robot. That makes range well-posed (where are the ends?) apart from heading
 (where is the stripe between them?).
 
 Heading and phase. Azimuth phi counts counter-clockwise from the robot's forward axis, seen from above. The lower edge

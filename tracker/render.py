@@ -21,7 +21,6 @@ from tracker.target import Solid, Target
 PATCHES = 16  # of a solid, at most
 MARGIN_PX = 2  # around the target's box
 BEHIND_M = 0.5  # background things stand at least so far behind the target
-FIXED_POINT_BITS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +72,12 @@ def render(
         apart_m = float(np.hypot(*(position(T_observer_target) - camera.mount.position_body[:2])))
         background = settings.background.radiance(camera, rng, apart_m + BEHIND_M)
     radiance = background.astype(np.float32)
-    for box, patch in _target_patches(camera, target, T_observer_target, settings.light):
-        radiance[box] = patch.radiance + (1 - patch.coverage) * radiance[box]
+    box = target_box(camera, target.solids, T_observer_target)
+    if box is not None:
+        rows, columns = box
+        corners = pixel_corners(camera.lens)[rows.start : rows.stop + 1, columns.start : columns.stop + 1]
+        seen = _seen(camera, target.solids, T_observer_target, settings.light, corners)
+        radiance[box] = seen.radiance + (1 - seen.coverage) * radiance[box]
     return _taken(radiance, settings, rng)
 
 
@@ -98,16 +101,6 @@ def target_box(camera: Camera, solids: tuple[Solid, ...], T_observer_target: Pos
     else:  # some of it is beside or behind the camera: its outline cannot be bounded by these points
         first, last = np.zeros(2, int), size
     return None if (first >= last).any() else (slice(first[1], last[1]), slice(first[0], last[0]))
-
-
-def _target_patches(camera: Camera, target: Target, T_observer_target: Pose2, light: Light):
-    """The box of the target and what is in it, if any of it is in the picture."""
-    box = target_box(camera, target.solids, T_observer_target)
-    if box is None:
-        return []
-    rows, columns = box
-    corners = pixel_corners(camera.lens)[rows.start : rows.stop + 1, columns.start : columns.stop + 1]
-    return [(box, _seen(camera, target.solids, T_observer_target, light, corners))]
 
 
 def _seen(camera: Camera, solids, T_observer_target: Pose2, light: Light, corners: np.ndarray) -> Patch:
