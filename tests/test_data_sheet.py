@@ -89,7 +89,7 @@ def test_written_and_read_again(name, tmp_path):
         ("pitch_m = 0.20", 'pitch_m = "0.20"', "helix.pitch_m: expected number"),
         ("stripes = 1", "stripes = 0", "helix.stripes: an integer from 1"),
         ("reflectance = 0.22", "reflectance = 2", "reflectance: 0 to 1 expected"),
-        ("[helix]", "[helix]\n[tag_cube]", r"one table \[helix\] or \[tag_cube\] expected"),
+        ("# Heights", "[tag_cube]\n# Heights", r"one table \[helix\] or \[tag_cube\] expected"),
         ("[camera.mount]", "[camera.mounting]", r"\[camera\] unknown key 'mounting'"),
     ],
 )

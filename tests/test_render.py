@@ -100,7 +100,7 @@ def test_stripes_cross_the_facing_generator_where_the_heading_says(T):
     checked = 0
     for half_turn in range(-6, 7):
         height = 0.22 + 0.2 * ((azimuth - T.theta()) / (2 * pi) + half_turn / 2)
-        if not (0.24 < height[0] and height[-1] < 0.42):  # clear of the rings
+        if height[0] < 0.24 or height[-1] > 0.42:  # clear of the rings
             continue
         curve = opencv_pixels(CAMERA, on_cylinder(axis, azimuth, height))
         upper, lower = (DARK, LIGHT) if half_turn % 2 == 0 else (LIGHT, DARK)
@@ -114,22 +114,73 @@ def test_stripes_cross_the_facing_generator_where_the_heading_says(T):
     assert checked >= 3
 
 
-@pytest.mark.parametrize("T", [Pose2(0.8, 0.0, pi), Pose2(1.2, 0.2, 2.6), Pose2(2.0, -0.4, -0.5), Pose2(2.0, 0.3, 0.9)])
-def test_opencv_detects_the_tags_at_their_corners(T):
-    """Within the 0.1 pixels that OpenCV's own refinement is good for."""
-    settings = replace(FLAT, sensor=replace(EXACT, defocus_px=0.6))
-    picture = exact(CUBE.tag_cube, T, settings, CUBE.camera)
+def tag_corners_seen(T):
+    """Tag id -> (4, 2) pixels of its corners by cv2.projectPoints."""
+    c, s = cos(T.theta()), sin(T.theta())
+    seen = {}
+    for tag, corners in CUBE.tag_cube.corners().items():
+        x, y, z = corners.T
+        seen[tag] = opencv_pixels(CUBE.camera, np.column_stack([T.x() + c * x - s * y, T.y() + s * x + c * y, z]))
+    return seen
+
+
+def straightened(pixels):
+    """(N, 2) pixels of the same camera without distortion, by OpenCV."""
+    lens, until = CUBE.camera.lens, (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+    points = np.asarray(pixels, float)[:, None]
+    return cv2.undistortPoints(points, lens.matrix, lens.distortion, P=lens.matrix, criteria=until)[:, 0]
+
+
+def border_line(picture, start, end, inwards):
+    """(3,) homogeneous line through the sub-pixel crossings of a tag's border between two of its corners."""
+    steep = int(abs(end[1] - start[1]) > abs(end[0] - start[0]))  # crossings are then searched along rows
+    places, crossings = (
+        np.arange(*sorted(np.rint([0.85 * start + 0.15 * end, 0.15 * start + 0.85 * end])[:, steep])),
+        [],
+    )
+    for place in places.astype(int):
+        guess = np.interp(
+            (place - start[steep]) / (end[steep] - start[steep]), [0, 1], [start[1 - steep], end[1 - steep]]
+        )
+        first = int(guess) - 4
+        profile = (picture[place] if steep else picture[:, place])[first : first + 9]
+        before, after = (LIGHT, DARK) if inwards[1 - steep] > 0 else (DARK, LIGHT)
+        found = crossing(profile, first, before, after)
+        crossings.append([found, place] if steep else [place, found])
+    points = straightened(crossings)
+    middle = points.mean(axis=0)
+    normal = np.linalg.svd(points - middle)[2][1]
+    return np.array([*normal, -normal @ middle])
+
+
+@pytest.mark.parametrize("T", [Pose2(0.8, 0.0, pi), Pose2(0.9, 0.1, 2.7), Pose2(1.0, -0.2, -2.0), Pose2(1.0, 0.1, 0.6)])
+def test_tags_are_where_their_corners_are_projected(T):
+    """OpenCV reads the right tags there; lines through their borders meet within 0.02 pixels of the corners.
+
+    OpenCV's own corners serve for 0.5 pixels only: on its own drawing of a tag, averaged over pixels without our
+    renderer, its CORNER_REFINE_SUBPIX is 0.12 to 0.33 pixels inside, growing with blur, and APRILTAG (0.5, 0.5) off.
+    """
+    picture = exact(replace(CUBE.tag_cube, body=()), T)
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     parameters.cornerRefinementWinSize = 3
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(picture)
+    detected, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(picture)
     assert ids is not None
-    c, s = cos(T.theta()), sin(T.theta())
-    for found, tag in zip(corners, ids.ravel(), strict=True):
-        x, y, z = CUBE.tag_cube.corners()[tag].T
-        seen = opencv_pixels(CUBE.camera, np.column_stack([T.x() + c * x - s * y, T.y() + s * x + c * y, z]))
-        assert np.abs(found[0] - seen).max() < 0.1
+    seen, measured = tag_corners_seen(T), 0
+    for found, tag in zip(detected, ids.ravel(), strict=True):
+        expected = seen[tag]
+        assert np.abs(found[0] - expected).max() < 0.5
+        lengths = np.linalg.norm(expected - np.roll(expected, -1, axis=0), axis=1)
+        if lengths.min() / 8 < 10:  # a module must be wider than the profiles across its edge
+            continue
+        middle = expected.mean(axis=0)
+        sides = zip(expected, np.roll(expected, -1, axis=0), strict=True)
+        lines = [border_line(picture, a, b, middle - (a + b) / 2) for a, b in sides]
+        meet = np.array([np.cross(lines[k - 1], lines[k]) for k in range(4)])
+        assert np.abs(meet[:, :2] / meet[:, 2:] - straightened(expected)).max() < EDGE_PX
+        measured += 1
+    assert measured >= 1
 
 
 def test_lambert_on_the_cylinder():
@@ -162,7 +213,7 @@ def test_light_keeps_its_place_when_the_target_turns():
 
 
 def test_area_sampling_of_a_disc_against_shapely():
-    """Coverage of each pixel by a disc of radius 6.3 px; half a lattice step of the 64 samples along an edge."""
+    """Coverage of each pixel by a disc of radius 6.3 px."""
     v, u = np.mgrid[0:21, 0:21] - 0.5
     corners = np.stack([u, v], axis=-1)
 
@@ -175,9 +226,10 @@ def test_area_sampling_of_a_disc_against_shapely():
     expected = np.array(
         [[disc.intersection(box(x - 0.5, y - 0.5, x + 0.5, y + 0.5)).area for x in range(20)] for y in range(20)]
     )
-    assert np.abs(found.coverage - expected).max() < 0.02
+    assert np.abs(found.coverage - expected).max() < 0.01
     np.testing.assert_allclose(found.radiance, 0.7 * found.coverage, atol=1e-12)
-    assert found.coverage.sum() == pytest.approx(pi * 6.3**2, rel=1e-3)
+    # Chords of length l cut l^2 / 12 per radian off a circle's area; across a cell l is at most sqrt(1 / 2).
+    assert 0 <= pi * 6.3**2 - found.coverage.sum() <= 2 * pi * 0.5 / 12
 
 
 @pytest.mark.parametrize("place", np.linspace(3.0, 4.0, 11))
@@ -186,7 +238,7 @@ def test_area_sampling_of_an_edge_along_the_pixels(place, axis):
     v, u = np.mgrid[0:9, 0:9] - 0.5
     label = lambda points: np.where(points[axis] < place, 0, -1)  # noqa: E731
     found = sampled(np.stack([u, v], axis=-1), lambda points: (label(points) + 1.0, label(points)))
-    assert found.coverage.sum(axis=1 - axis).mean() == pytest.approx(place + 0.5, abs=1 / 128 + 1e-9)
+    assert found.coverage.sum(axis=1 - axis).mean() == pytest.approx(place + 0.5, abs=1 / 1000)  # of the bisection
 
 
 def test_what_is_nearer_hides_what_is_behind():
@@ -250,7 +302,7 @@ def test_motion_draws_a_line(direction):
     assert light.sum() == pytest.approx(1.0, abs=1e-5)
     assert (light * u).sum() == pytest.approx(0.0, abs=1e-5) and (light * v).sum() == pytest.approx(0.0, abs=1e-5)
     for offset, share in ((u, cos(direction)), (v, sin(direction))):
-        assert 0 <= (light * offset**2).sum() - 81 / 12 * share**2 <= 0.25 + 1e-4
+        assert -1e-4 <= (light * offset**2).sum() - 81 / 12 * share**2 <= 0.25 + 1e-4
     assert (light * u * v).sum() == pytest.approx(81 / 12 * cos(direction) * sin(direction), abs=0.02)
 
 
@@ -258,7 +310,7 @@ def test_vignetting_takes_light_from_the_corners():
     grey = replace(EXACT, vignetting=0.2).exposed(np.ones((481, 641), np.float32))
     assert grey[240, 320] == pytest.approx(210) and grey[0, 0] == pytest.approx(10 + 200 * 0.8)
     half_way = 10 + 200 * (1 - 0.2 * 160**2 / (240**2 + 320**2))
-    assert grey[240, 480] == pytest.approx(half_way, abs=1e-3)
+    assert grey[240, 480] == pytest.approx(half_way, abs=0.01)  # pixels counted, not their spacing
 
 
 @pytest.mark.parametrize("kind", ["plain", "gradient", "clutter"])

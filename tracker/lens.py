@@ -125,8 +125,8 @@ def _fold(lens: Lens) -> float:
 def pixel_corners(lens: Lens) -> np.ndarray:
     """(height + 1, width + 1, 2) normalised points of the corners of all pixels; computed once for a lens.
 
-    Within a pixel the inverse distortion is bilinear to 2e-4 pixels for a lens that bends no more than those of the data
-    sheets (tested), so this array is all that a renderer needs to know of the lens.
+    Within a pixel the inverse distortion is bilinear to 2e-4 pixels for a lens that bends no more than those of the
+    data sheets (tested), so this array is all that a renderer needs to know of the lens.
     """
     u, v = np.meshgrid(np.arange(lens.width_px + 1) - 0.5, np.arange(lens.height_px + 1) - 0.5)
     corners = lens.normalised(np.stack([u, v], axis=-1))
