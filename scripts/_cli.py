@@ -31,6 +31,9 @@ def run(main: Callable[[Sequence[str] | None], int], arguments: Sequence[str] | 
     except CoopSlamError as error:
         print(f"{type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_code
+    except BrokenPipeError:  # who read what is printed has gone; the last flush must not complain of it again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
     except KeyboardInterrupt:
         print("interrupted; what was recorded so far is in the output directory", file=sys.stderr)
         return 130

@@ -5,6 +5,7 @@ Without truth the size of the world is open, and the mean scale of odometry is h
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from coopslam.estimation.calibration import PARAMETERS, Calibration
 from coopslam.estimation.driven_path import driven_paths
 from coopslam.estimation.sensor_residuals import Course, sightings_of
 from coopslam.estimation.truth_calibration import course_of, truth_calibrate
+from coopslam.io.bounds import bounded, require_bounded_truth
 from coopslam.io.log import Log, Truth
 from coopslam.io.mrclam import MrclamSource
 from coopslam.io.sources import open_log
@@ -59,6 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if is_mrclam:
         source = MrclamSource(options.log, settings.mrclam)
     log, truth = source.read(), source.truth() if options.with_truth else None
+    log = replace(log, records=bounded(log.records, log.dropped, str(options.log)))
+    require_bounded_truth(truth, str(options.log))
     print(f"{log.name}: {len(log.records)} records of {len(log.header.robots)} robots read", flush=True)
     records = without_ignored(log.records, log.header, options.ignore or settings.ignore)
     records = part_of(records, from_s, to_s, str(options.log))

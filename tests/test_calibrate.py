@@ -2,6 +2,7 @@
 
 import json
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -161,6 +162,17 @@ def test_ranges_are_not_taken_for_depths_twice(log, with_truth, tmp_path, capsys
     (tmp_path / "depth.toml").write_text("[mrclam]\nrange_is_depth = true\n", encoding="utf-8")
     options = ("--config", tmp_path / "depth.toml", "--calibration", with_truth, "--out", tmp_path / "out")
     assert "expected one" in refused(capsys, log, *options, script=replay)
+
+
+def test_a_closed_pipe_is_no_traceback(log, tmp_path):
+    """Like `calibrate.py ... | head -c 1`."""
+    script = Path(__file__).parents[1] / "scripts" / "calibrate.py"
+    command = [sys.executable, str(script), str(log), "--out", str(tmp_path / "c.toml"), "--figures", "none"]
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as closed:
+        done = subprocess.run(command, stdout=closed, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (141, "")
 
 
 def test_without_a_truth_beside_the_log_it_says_so(log, tmp_path, capsys):

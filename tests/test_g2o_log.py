@@ -115,6 +115,20 @@ def test_the_keys_beside_a_graph_say_who_and_when(tmp_path):
     assert said == [(BearingRangeFix, 0.5), (Odometry, 2.5), (RelativePoseFix, 2.5), (BearingFix, 2.5)]
 
 
+def test_who_stands_is_seen_later_and_drives_on_then(tmp_path):
+    """The rover stands from 0 to 4 s and is seen by the scout, which arrives at 2.5 s."""
+    keys = KEYS | {"2": {"robot": "rover", "index": 0, "stamp_s": 0, "until_s": 4}}
+    keys["1"] = keys["1"] | {"until_s": 3.0}
+    log = written(tmp_path, GRAPH, keys).read()
+    assert not log.dropped
+    said = [(type(record), record.stamp_s) for record in log.records]
+    assert said == [(BearingRangeFix, 0.5), (Odometry, 2.5), (RelativePoseFix, 2.5), (BearingFix, 2.5)]
+    drives_on = GRAPH + f"VERTEX_SE2 4 3 0 0\nEDGE_SE2 1 4 1 0 0 {I3}\n"
+    keys["4"] = {"robot": "scout", "index": 2, "stamp_s": 5.0}
+    odometry = [record for record in written(tmp_path, drives_on, keys).read().records if isinstance(record, Odometry)]
+    assert [(leg.start_s, leg.stamp_s) for leg in odometry] == [(0.5, 2.5), (3.0, 5.0)]
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -124,6 +138,8 @@ def test_the_keys_beside_a_graph_say_who_and_when(tmp_path):
         ({"2": {"robot": "b", "index": -1}}, "id 2: the index -1; expected a whole number"),
         ({"2": {"robot": "b", "index": True}}, "id 2: the index True; expected a whole number"),
         ({"2": {"robot": "b", "index": 0, "stamp_s": "now"}}, "id 2: stamp_s 'now'; expected seconds"),
+        ({"2": {"robot": "b", "index": 0, "stamp_s": 2, "until_s": 1}}, "id 2: until_s 1 lies before stamp_s 2"),
+        ({"2": {"robot": "b", "index": 0, "until_s": None}}, "id 2: until_s None; expected seconds"),
         ({"3": {"landmark": 7}}, "id 3: the landmark 7; expected a name"),
         ({"2": 7}, "expected an object such as"),
         ({"two": {}}, "expected the ids of vertices as keys"),

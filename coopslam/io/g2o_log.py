@@ -22,7 +22,7 @@ _INDEX_BITS = 56  # of a GTSAM symbol; its letter is in the byte above
 
 
 class G2oSource:
-    """A pose graph. A pose's stamp is what the keys file says, or else its number."""
+    """A pose graph. When a robot was at a pose is what the keys file says, or else the pose's number."""
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
@@ -92,10 +92,17 @@ def _by_key(node: int, keys: dict[int, dict], keys_path: Path) -> Node:
         raise BadInput(f"{where}: the robot {shown(robot)}; expected a name")
     if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < 1 << 64:
         raise BadInput(f"{where}: the index {shown(index)}; expected a whole number, zero or more")
-    stamp = key.get("stamp_s", index)
-    if not isinstance(stamp, int | float) or isinstance(stamp, bool) or not abs(stamp) <= LARGEST_STAMP_S:
-        raise BadInput(f"{where}: stamp_s {shown(stamp)}; expected seconds, at most {LARGEST_STAMP_S:g}")
-    return Node(robot, index, float(stamp))
+    stamp = _seconds(where, "stamp_s", key.get("stamp_s", index))
+    until = _seconds(where, "until_s", key.get("until_s", stamp))
+    if until < stamp:
+        raise BadInput(f"{where}: until_s {until:g} lies before stamp_s {stamp:g}; expected a later instant")
+    return Node(robot, index, stamp, until)
+
+
+def _seconds(where: str, field: str, value) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) <= LARGEST_STAMP_S:
+        raise BadInput(f"{where}: {field} {shown(value)}; expected seconds, at most {LARGEST_STAMP_S:g}")
+    return float(value)
 
 
 def _is_name(value) -> bool:

@@ -61,8 +61,8 @@ def graph_log(name: str, graph: PoseGraph, provenance: str) -> Log:
 def usable_stamps(graph: PoseGraph) -> None:
     """Give every pose its index as stamp when the stamps of some robot don't ascend, and count that."""
     for nodes in _walks(graph.poses).values():
-        stamps = [graph.poses[node].stamp_s for node in nodes]
-        if any(later <= earlier for earlier, later in pairwise(stamps)):
+        stays = [graph.poses[node] for node in nodes]
+        if any(later.stamp_s <= earlier.leaves_s for earlier, later in pairwise(stays)):
             graph.dropped["stamps: those of a robot do not ascend; the numbers of the poses are taken instead"] += 1
             for node, pose in graph.poses.items():
                 graph.poses[node] = Node(pose.robot, pose.index, float(pose.index))
@@ -114,8 +114,8 @@ class _Records:
         observer, stamp = self.graph.poses[edge.start].robot, self.graph.poses[edge.start].stamp_s
         target = self.graph.points.get(edge.end)
         if target is None:
-            seen = self.graph.poses[edge.end]
-            if seen.robot == observer or seen.stamp_s != stamp:
+            seen, stamp = self.graph.poses[edge.end], self._both_there_s(edge)
+            if seen.robot == observer or stamp is None:
                 return self._drop("edge: a sighting between poses at different times")
             target = seen.robot
         if isinstance(edge, Distance):
@@ -140,11 +140,18 @@ class _Records:
         start, end = self.graph.poses[edge.start], self.graph.poses[edge.end]
         if self.next.get(edge.start) == edge.end and edge.start not in self.driven:
             self.driven.add(edge.start)
-            return Odometry(start.stamp_s, end.stamp_s, start.robot, edge.T_start_end, edge.cov_end)
-        if start.stamp_s == end.stamp_s:
+            return Odometry(start.leaves_s, end.stamp_s, start.robot, edge.T_start_end, edge.cov_end)
+        both_there_s = self._both_there_s(edge)
+        if both_there_s is not None and start.robot != end.robot:
             cov_observer = observer_to_target_axes(edge.T_start_end.inverse(), edge.cov_end)  # and back again
-            return RelativePoseFix(start.stamp_s, start.robot, end.robot, edge.T_start_end, cov_observer)
+            return RelativePoseFix(both_there_s, start.robot, end.robot, edge.T_start_end, cov_observer)
         return LoopClosure(start.stamp_s, end.stamp_s, start.robot, end.robot, edge.T_start_end, edge.cov_end)
+
+    def _both_there_s(self, edge: Edge) -> float | None:
+        """The first instant at which robots are at both ends of an edge; None when there is none."""
+        start, end = self.graph.poses[edge.start], self.graph.poses[edge.end]
+        stamp_s = max(start.stamp_s, end.stamp_s)
+        return stamp_s if stamp_s <= min(start.leaves_s, end.leaves_s) else None
 
     def _is_later(self, start: Hashable, end: Hashable) -> bool:
         return self.graph.poses[start].stamp_s > self.graph.poses[end].stamp_s
@@ -156,7 +163,7 @@ class _Records:
         for node, after in self.next.items():
             if node not in self.driven:
                 start, end = self.graph.poses[node], self.graph.poses[after]
-                bridges.append(Odometry(start.stamp_s, end.stamp_s, start.robot, Pose2(), cov))
+                bridges.append(Odometry(start.leaves_s, end.stamp_s, start.robot, Pose2(), cov))
                 self._drop("odometry: none between consecutive poses; taken as unknown motion")
         return bridges
 

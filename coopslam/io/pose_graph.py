@@ -20,6 +20,12 @@ class Node:
     robot: str
     index: int  # order of the robot's poses
     stamp_s: float
+    until_s: float | None = None  # the robot stands there until then; None: it drives on at once
+
+    @property
+    def leaves_s(self) -> float:
+        """When the robot drives on."""
+        return self.stamp_s if self.until_s is None else self.until_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -33,10 +33,13 @@ def write_pose_graph(directory: Path, graph: gtsam.NonlinearFactorGraph, estimat
 def _names(estimate: Estimate) -> dict[int, dict]:
     """Key of each variable -> what it is."""
     names = {}
-    for robot in filter(estimate.timeline.is_placed, estimate.robots):
-        for index, key in enumerate(estimate.timeline.tracks[robot].keys):
-            stamp = estimate.timeline.stamps[key]
-            names[key] = {"kind": "pose", "robot": robot, "index": index, "stamp_s": stamp}
+    tracks = [estimate.timeline.tracks[robot] for robot in filter(estimate.timeline.is_placed, estimate.robots)]
+    end_s = max((track.since_s[-1] for track in tracks), default=0.0)
+    for track in tracks:
+        stays = zip(track.keys, track.since_s, track.until_s, strict=True)
+        for index, (key, since_s, until_s) in enumerate(stays):
+            until_s = max(min(until_s, end_s), since_s)  # a last pose has no end
+            names[key] = {"kind": "pose", "robot": track.robot, "index": index, "stamp_s": since_s, "until_s": until_s}
     for vertex in estimate.vertices:
         names[estimate.vertex_key(vertex)] = {"kind": "vertex", "vertex": vertex}
     for landmark in estimate.landmarks:
