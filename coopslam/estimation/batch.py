@@ -24,6 +24,7 @@ MAX_ITERATIONS = 100
 _FAST = ("MULTIFRONTAL_SOLVER", "MULTIFRONTAL_CHOLESKY")  # the first is faster, and gives up more easily
 _LARGE = 5_000  # variables; below, the first is no faster either
 _FEW = 10  # iterations; a change of solver pays only beyond
+_LAST = 3  # iterations with QR that there always may be
 _SLOW = 0.25  # each decrease of the cost at least so much of the one before: no Gauss-Newton in its last steps
 _LIGHT_DAMPING = 1e-5  # lambda; GTSAM's first, which no variable feels that is known better than 300 m or rad
 
@@ -46,7 +47,7 @@ def optimize(
     """Levenberg-Marquardt without a check of the graph.
 
     ordering: of the variables, for graphs of one structure that are solved again and again; `nested_dissection`
-    without one.  iterations: at most so many with each linear solver.
+    without one.  iterations: at most so many with both linear solvers, but for the last few.
     Cholesky goes most of the way and QR, half as fast, the last step or all that is left: GTSAM's Cholesky takes a
     sigma 4 096 times another for an open direction. So it is always QR that finds nothing left to gain.
     """
@@ -60,7 +61,7 @@ def optimize(
                 break
             except RuntimeError:  # the start of an open direction, it thinks, or a noise model that it does not know
                 continue
-    descent.run("MULTIFRONTAL_QR", iterations, is_last=True)
+    descent.run("MULTIFRONTAL_QR", max(iterations - descent.iterations, min(iterations, _LAST)), is_last=True)
     return descent.values
 
 
@@ -68,7 +69,7 @@ class _Descent:
     """Levenberg-Marquardt that may change its linear solver on the way."""
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, ordering: gtsam.Ordering):
-        self.values = initial
+        self.values, self.iterations = initial, 0
         self._graph, self._ordering = graph, ordering
         self._cost, self._decrease = graph.error(initial), inf  # before the last iteration, and what that brought
 
@@ -84,6 +85,7 @@ class _Descent:
         try:
             for _ in range(iterations):
                 optimizer.iterate()
+                self.iterations += 1
                 former, self._decrease = self._decrease, self._cost - optimizer.error()
                 self._cost = optimizer.error()
                 if self._is_time_to_stop(former, optimizer.lambda_(), is_last):
