@@ -64,9 +64,15 @@ class Covariances:
     def marginal(self, key: int) -> np.ndarray:
         """(d, d) covariance of a variable in its own axes."""
         place = self._place_of(key)
-        for later in reversed(self._path(place)):
-            if later not in self._families:
-                self._families[later] = self._family(later)
+        lacking, later = [], place
+        while later not in self._families:
+            lacking.append(later)
+            parents = self._conditional(later).parents
+            if not parents:
+                break
+            later = parents[0]
+        for later in reversed(lacking):
+            self._families[later] = self._family(later)
         cov, columns = self._families[place]
         return cov[columns[place], columns[place]].copy()
 
