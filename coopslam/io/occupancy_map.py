@@ -45,13 +45,14 @@ def occupancy_of(
     if not len(corners):
         raise BadInput("nothing is mapped; expected free space or walls")
     low, high = corners.min(axis=0), corners.max(axis=0)
+    with np.errstate(over="ignore"):
+        count = float(np.prod((high - low) / resolution_m + 3))
+        farthest = float(np.abs(corners).max() / resolution_m)
+    if not (count <= MOST_CELLS and farthest < 2**53):  # cells must have numbers
+        raise BadInput(f"resolution_m: {resolution_m:g} makes {count:.3g} cells; at most {MOST_CELLS:,} expected")
     x0, y0 = (floor(value / resolution_m) - 1 for value in low.tolist())  # in cells, so that maps fit on each other
     x1, y1 = (ceil(value / resolution_m) + 1 for value in high.tolist())
     columns, rows = x1 - x0, y1 - y0
-    if columns * rows > MOST_CELLS or min(columns, rows) > MOST_CELLS:
-        raise BadInput(
-            f"resolution_m: {resolution_m:g} makes {columns} x {rows} cells; at most {MOST_CELLS:,} cells expected"
-        )
     cells = np.full((rows, columns), UNKNOWN, np.uint8)  # row 0 at the bottom
     shapely.prepare(free_space)
     x = (x0 + np.arange(columns) + 0.5) * resolution_m
