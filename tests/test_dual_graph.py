@@ -8,13 +8,21 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from explorations import Run, require_complete, run
+from explorations import ROBOTS, Run, require_complete, run
 from monte_carlo import require_covariance
 from scipy.sparse import csr_array
 
+from coopslam.estimation.incremental import Incremental
+from coopslam.exploration.explorer import Explorer
+from coopslam.exploration.mission import run_mission
+from coopslam.planning.believed_sensors import believed_sensors
 from coopslam.planning.dual_graph import dual_graph, signed_area_m2
 from coopslam.planning.recorded_odometry import RecordedOdometry, Squares, local_variances
-from sim.noise import TYPICAL, Noise
+from coopslam.records import RelativePoseFix
+from sim.noise import TRACKERS, TYPICAL, Noise
+from sim.sensors import Sensors
+from sim.team import Team
+from sim.world import load_world
 
 SAMPLES = 20_000
 WORLDS = ["paper_one_obstacle", "rooms_with_doors"]
@@ -115,6 +123,80 @@ def test_uncertainties_of_edges_against_sampling(name):
         assert edge["relative_sigma_m"] == pytest.approx(worst, rel=close)
     sigmas = np.array([edge["odometry_sigma_per_m"] for _, _, edge in graph.edges(data=True)])
     assert (sigmas > 0).all()
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_four_vertices_of_an_edge_against_sampling(name):
+    """Gate first, then the third corners; their joint covariance is that of samples drawn with all vertices at once."""
+    _, graph, _ = finished(name)
+    places, drawn = sampled(name)
+    for i, j, edge in graph.edges(data=True):
+        corners = [set(graph.nodes[t]["vertices"]) for t in sorted((i, j))]
+        gate, thirds = edge["vertices"][:2], edge["vertices"][2:]
+        assert gate == edge["gate"] and [corners[0] - corners[1], corners[1] - corners[0]] == [{v} for v in thirds]
+        errors = np.hstack([drawn[v] - places[v] for v in edge["vertices"]])
+        require_covariance(errors, np.array(edge["vertex_covariance"]))
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_the_graph_tells_what_was_believed_of_the_sensors(name):
+    """Read off the covariances of the factors: the settings of the run, to 1 % where they were used at all ranges."""
+    _, graph, _ = finished(name)
+    found, noise = graph.graph["sensors"], TYPICAL
+    drift = noise.odometry.drift_sigma_rad
+    per_rad = noise.odometry.rotation_sigma_rad / np.sqrt(2 * np.pi)
+    assert found["odometry"]["translation_sigma_per_m"] == pytest.approx(noise.odometry.translation_sigma_m, rel=0.02)
+    assert found["odometry"]["heading_sigma_per_m"] == pytest.approx(drift, rel=0.02)  # legs of several turns differ
+    assert found["odometry"]["heading_sigma_per_rad"] == pytest.approx(per_rad, rel=0.02)
+    tracker, finder = found["tracker"], found["finder"]
+    assert tracker["along_sigma_m"] == pytest.approx(noise.tracker.range_sigma_m, rel=0.01)
+    assert tracker["along_sigma_per_m"] == pytest.approx(noise.tracker.range_sigma_per_m, rel=0.01)
+    assert tracker["across_sigma_m"] == pytest.approx(noise.tracker.lateral_sigma_m, rel=0.01)
+    assert tracker["across_sigma_rad"] == pytest.approx(noise.tracker.bearing_sigma_rad, rel=0.01)
+    assert tracker["heading_sigma_rad"] == pytest.approx(noise.tracker.heading_sigma_rad, rel=0.01)
+    assert finder["along_sigma_m"] == pytest.approx(noise.finder.position_sigma_m, rel=0.01)
+    assert finder["heading_sigma_rad"] == pytest.approx(noise.finder.direction_sigma_rad, rel=0.01)
+    done, _, _ = finished(name)
+    ranges = [r.T_observer_target.range(np.zeros(2)) for r in done.records if isinstance(r, RelativePoseFix)]
+    assert tracker["reach_m"] == pytest.approx(max(ranges), rel=1e-9)
+
+
+def test_a_tracker_without_heading_is_told_so():
+    world_noise = replace(TYPICAL, tracker=TRACKERS["retroreflector"][0])
+    sensors = Sensors(world_noise, world_noise, np.random.default_rng(1), tracker_limits=TRACKERS["retroreflector"][1])
+    world = load_world("paper_two_occluders")
+    driver = Incremental(ROBOTS)
+    mission = run_mission(Team(world, sensors), driver, Explorer(ROBOTS), lambda record: None)
+    assert mission.outcome == "complete"
+    estimate = driver.update([])
+    laws = believed_sensors(driver.graph, RecordedOdometry(driver.graph, estimate).legs)
+    sigmas = TRACKERS["retroreflector"][0]
+    assert laws.tracker.heading_sigma_rad is None
+    assert laws.tracker.along_sigma_m == pytest.approx(sigmas.range_sigma_m, rel=0.01)
+    assert laws.tracker.across_sigma_rad == pytest.approx(sigmas.bearing_sigma_rad, rel=0.01)
+
+
+def test_triangles_tell_the_slip_of_heading_too():
+    """Ground three times as slippery in all it does: the drift recorded in the triangles is, too."""
+
+    def typical_drift(factor):
+        sigmas = replace(
+            TYPICAL.odometry,
+            translation_sigma_m=factor * TYPICAL.odometry.translation_sigma_m,
+            drift_sigma_rad=factor * TYPICAL.odometry.drift_sigma_rad,
+            rotation_sigma_rad=factor * TYPICAL.odometry.rotation_sigma_rad,
+        )
+        found = []
+        for seed in range(12):
+            done = run("paper_two_occluders", seed=seed, true=replace(TYPICAL, odometry=sigmas), believed=TYPICAL)
+            smoothed = done.smoothed()
+            graph = dual_graph(done.free_map, smoothed, RecordedOdometry(done.driver.graph, smoothed))
+            found += [value for _, value in graph.nodes(data="odometry_heading_sigma_per_m")]
+        return np.sqrt(np.mean(np.square(found)))
+
+    drift = TYPICAL.odometry.drift_sigma_rad
+    assert typical_drift(1.0) == pytest.approx(drift, rel=0.25)
+    assert typical_drift(3.0) == pytest.approx(3 * drift, rel=0.25)
 
 
 def test_no_ground_is_without_slip():

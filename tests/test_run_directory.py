@@ -18,7 +18,8 @@ def files(directory) -> list[str]:
 
 def test_force_deletes_a_run_and_nothing_else(tmp_path):
     run = ["config.toml", "log.mcap", "summary.json", "truth/robot0.tum", "figures/map.png", "trajectories/r.tum"]
-    mine = ["notes.txt", "figures/drawing.svg", "truth/deep/er.json", "thesis/figures/map.png"]
+    run += ["plans/shortest/paths.geojson", "exports/map.pgm"]
+    mine = ["notes.txt", "plans/shortest/my.txt", "figures/drawing.svg", "truth/deep/er.json", "thesis/figures/map.png"]
     fill(tmp_path, *run, *mine)
     prepare_run_directory(tmp_path, force=True)
     assert files(tmp_path) == sorted(mine) and not (tmp_path / "trajectories").exists()

@@ -93,6 +93,7 @@ class SlipByTriangle:
 
     variance_per_m: Mapping[int, float]  # m^2 per m
     information: Mapping[int, float]
+    heading: Mapping[int, float]  # variance of heading over the believed one
 
     def pooled(self, triangles: Sequence[int]) -> float:
         """Odometry error in some triangles, m per sqrt(m)."""
@@ -109,7 +110,7 @@ class RecordedOdometry:
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, estimate: Estimate):
         """graph: the factors that the estimate smoothed."""
-        self._graph, self._values, self._robots = graph, gtsam.Values(), estimate.robots
+        self.graph, self._values, self._robots = graph, gtsam.Values(), estimate.robots
         for key in graph.keyVector():
             self._values.insert(key, estimate.value(key))
         chains = {
@@ -152,7 +153,7 @@ class RecordedOdometry:
     def _assumed(self, s2: np.ndarray, split: float) -> gtsam.NonlinearFactorGraph:
         """The graph with other covariances of its legs."""
         part = np.diag([np.sqrt(split), 1 / np.sqrt(split), 1 / np.sqrt(split)])
-        graph = gtsam.NonlinearFactorGraph(self._graph)
+        graph = gtsam.NonlinearFactorGraph(self.graph)
         for leg, scale in zip(self.legs, s2, strict=True):
             factor, stretch = graph.at(leg.factor), leg.axes.T @ part @ leg.axes
             model = gtsam.noiseModel.Gaussian.Covariance(scale * stretch @ leg.cov @ stretch.T)
@@ -165,20 +166,20 @@ class RecordedOdometry:
         places: vertex -> (2,) in the frame of the estimate.
         """
         if not free_map.triangles:
-            return SlipByTriangle({}, {})
+            return SlipByTriangle({}, {}, {})
         areas = shapely.polygons([[places[v] for v in corners] for corners in free_map.triangles.values()])
         number = {triangle: k for k, triangle in enumerate(free_map.triangles)}
         pairs = [(number[one], number[other]) for one, other, _ in free_map.adjacent_triangles()]
         found = self._variances(_shares(self.legs, areas), _hops(len(areas), pairs))
         return SlipByTriangle(*(dict(zip(number, values.tolist(), strict=True)) for values in found))
 
-    def _variances(self, shares: csr_array, hops: coo_array) -> tuple[np.ndarray, np.ndarray]:
-        """(t,) variances of the distance driven, m^2 per m, and their (t,) information."""
+    def _variances(self, shares: csr_array, hops: coo_array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(t,) variances of the distance driven, m^2 per m, their (t,) information, and (t,) of heading over belief."""
         moves = [leg for leg in self.legs if leg.distance_m > MOVED_M]
         local, information = np.ones(shares.shape[0]), np.full(shares.shape[0], PRIOR_INFORMATION)
         if not moves:
-            return 0.0 * local, information
-        s2, split, next_split, ahead = np.ones(len(self.legs)), 1.0, 1.0, 1.0
+            return 0.0 * local, information, local
+        s2, split, next_split, ahead, heading = np.ones(len(self.legs)), 1.0, 1.0, 1.0, 1.0
         for _ in range(PASSES):
             split = next_split
             evidence = self.evidence(s2, split)
@@ -187,9 +188,10 @@ class RecordedOdometry:
             s2 = np.where(parts > LEAST_PART, shares.T @ local / np.maximum(parts, LEAST_PART), variance(evidence.all))
             # a common factor of both components is in s2 already
             ahead = variance(evidence.ahead.relative_to(s2), 1.0)
-            next_split = split * np.sqrt(ahead / variance(evidence.heading.relative_to(s2), 1.0))
+            heading = variance(evidence.heading.relative_to(s2), 1.0)
+            next_split = split * np.sqrt(ahead / heading)
         believed = sum(leg.axes[0] @ leg.cov @ leg.axes[0] for leg in moves) / sum(leg.distance_m for leg in moves)
-        return local * ahead * split * believed, information
+        return local * ahead * split * believed, information, local * heading / split
 
 
 def variance(squares: Squares, prior: float | None = None) -> float:

@@ -25,8 +25,8 @@ FILES = (
     "summary.json",
     "report.html",
 )
-FOLDERS = ("trajectories", "figures", "truth")
-SUFFIXES = (".png", ".gif", ".mp4", ".tum", ".json", ".geojson")  # of what a run writes into its folders
+FOLDERS = ("trajectories", "figures", "truth", "plans", "exports")  # the last two: made from a run, stale without it
+SUFFIXES = (".png", ".gif", ".mp4", ".tum", ".json", ".geojson", ".graphml", ".pgm", ".yaml")  # of what is in them
 
 
 def prepare_run_directory(path: Path, force: bool) -> None:
@@ -48,8 +48,8 @@ def prepare_run_directory(path: Path, force: bool) -> None:
         (path / ".writable").touch()
         (path / ".writable").unlink()
         if {"config.toml", "log.mcap"} <= set(held):
-            for name in FOLDERS:
-                _clear(path / name)
+            for folder in (*(path / "plans").glob("*"), *(path / name for name in FOLDERS)):
+                _clear(folder)
         for name in held:
             if name in FILES:
                 (path / name).unlink()
