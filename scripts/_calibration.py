@@ -59,10 +59,12 @@ def calibrate_itself(
     settings: CalibrateSettings,
     tell: Callable[[str], None],
     rounds: int | None = None,
+    hold: tuple[str, ...] | None = None,
 ) -> SelfCalibrated:
-    """The log's own calibration, from raw records. rounds: instead of those of the settings."""
+    """The log's own calibration, from raw records. rounds, hold: instead of those of the settings."""
     own, header = settings.mrclam if is_mrclam else settings.others, log.header
     own = own if rounds is None else replace(own, rounds=rounds)
+    own = own if hold is None else replace(own, hold=hold)
     return self_calibrate(records, header.robots, header.landmarks, timeline, own, log.name, tell)
 
 

@@ -4,33 +4,30 @@ A run that ends badly is written like any other; what could not be computed is n
 """
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from math import isinf
 from pathlib import Path
-from typing import Literal, TypeVar
+from types import MappingProxyType
+from typing import TypeVar
 
 import gtsam
 import networkx as nx
 import numpy as np
 from _exploration_output import summarize, view_of, write_run
+from _exploration_settings import DRIVERS, ExplorationSettings
 
 from coopslam import __version__
-from coopslam.errors import BadInput, CoopSlamError, UnderDetermined, shown
-from coopslam.estimation.batch import Batch, BatchEstimate, chi_square
+from coopslam.errors import BadInput, CoopSlamError, UnderDetermined
+from coopslam.estimation.batch import BatchEstimate, chi_square
 from coopslam.estimation.dead_reckoning import DeadReckoning
-from coopslam.estimation.ekf import Ekf, EkfSettings
 from coopslam.estimation.estimate import Estimate, Estimator, Trajectory
-from coopslam.estimation.fixed_lag import FixedLag, FixedLagSettings
-from coopslam.estimation.gate import GateSettings
-from coopslam.estimation.incremental import Incremental, IncrementalSettings
 from coopslam.estimation.loss import Loss
 from coopslam.estimation.robust import RobustSettings, RobustSolution, is_tracker_fix, solve_robust
 from coopslam.estimation.timeline import TimelineSettings
-from coopslam.estimation.weighted import Weighted
 from coopslam.evaluation.exploration_score import ExplorationTruth
-from coopslam.exploration.explorer import Explorer, ExplorerSettings
-from coopslam.exploration.mission import Budget, Mission, Progress, run_mission
+from coopslam.exploration.explorer import Explorer
+from coopslam.exploration.mission import Mission, Progress, run_mission
 from coopslam.io.run_log import RunLogWriter
 from coopslam.io.toml import dump_toml, to_mapping
 from coopslam.planning.dual_graph import dual_graph
@@ -40,78 +37,15 @@ from coopslam.report import figures, html
 from coopslam.report.run_directory import write_json
 from coopslam.report.run_view import RunView
 from coopslam.se2 import Pose2
-from sim.noise import PRESETS, TRACKERS, FalseSightings, Noise, OdometryBias, TrackerLimits, preset
 from sim.sensors import Sensors
 from sim.team import Team, TeamSettings, Truth
+from sim.vision import Eye, VisionSensors
 from sim.world import World, load_world, world_names
 
-DRIVERS = {
-    "incremental": Incremental,
-    "fixed-lag": FixedLag,
-    "ekf": Ekf,
-    "weighted": Weighted,
-    "dead-reckoning": DeadReckoning,
-    "batch": Batch,
-}
 WORST_CHI_SQUARE = 25.0  # per degree of freedom; 1 expected. Beyond, the estimate contradicts the records
 ENOUGH_DOF = 50  # for that to be no chance
-LARGEST_SEED = 2**63 - 1  # that TOML promises to carry
 MOST_FALSE = 0.5  # of all sightings; beyond, there is no saying which half is true
 T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class ExplorationSettings:
-    """Every setting of a simulated exploration; the keys of a config file."""
-
-    world: str = "paper_one_obstacle"
-    seed: int = 0
-    noise: Literal["none", "typical", "legged"] = "typical"
-    tracker_preset: Literal["helix", "retroreflector", "laser-stripe"] = "helix"
-    estimator: Literal["incremental", "fixed-lag", "ekf", "weighted", "dead-reckoning", "batch"] = "incremental"
-    figures: Literal["none", "static", "all"] = "static"
-    true_noise: Noise | None = None  # instead of the preset's
-    believed_noise: Noise | None = None
-    tracker_limits: TrackerLimits | None = None
-    bias: OdometryBias = field(default_factory=OdometryBias)
-    false_sightings: FalseSightings = field(default_factory=FalseSightings)
-    team: TeamSettings = field(default_factory=TeamSettings)
-    explorer: ExplorerSettings = field(default_factory=ExplorerSettings)
-    incremental: IncrementalSettings = field(default_factory=IncrementalSettings)
-    fixed_lag: FixedLagSettings = field(default_factory=FixedLagSettings)
-    ekf: EkfSettings = field(default_factory=EkfSettings)  # also of weighted
-    gate: GateSettings = field(default_factory=GateSettings)  # for false sightings, while the robots drive
-    robust: RobustSettings = field(default_factory=RobustSettings)  # for false sightings, in the final smoothing
-    budget: Budget = field(default_factory=Budget)
-
-    def __post_init__(self):
-        if not 0 <= self.seed <= LARGEST_SEED:
-            raise BadInput(f"seed: zero or more expected, at most 2^63 - 1, got {shown(self.seed)}")
-
-    def resolved(self) -> "ExplorationSettings":
-        """The same with the noise spelled out. Raises BadInput when a belief leaves no room for doubt."""
-        true, believed = preset(self.noise, self.tracker_preset)
-        true, believed = self.true_noise or true, self.believed_noise or believed
-        limits = self.tracker_limits or TRACKERS[self.tracker_preset][1]
-        for part in fields(believed):
-            for key, sigma in to_mapping(getattr(believed, part.name)).items():
-                if not sigma > 0:
-                    raise BadInput(f"believed_noise.{part.name}.{key}: more than zero expected, got {sigma}")
-        return replace(self, true_noise=true, believed_noise=believed, tracker_limits=limits)
-
-    def with_tracker(self, name: str) -> "ExplorationSettings":
-        """The same with another preset of the robot tracker, also where the noise is spelled out."""
-        sigmas, limits = TRACKERS[name]
-        noise = {key: getattr(self, key) for key in ("true_noise", "believed_noise")}
-        noise = {key: replace(law, tracker=sigmas) for key, law in noise.items() if law is not None}
-        return replace(self, tracker_preset=name, tracker_limits=limits, **noise)
-
-    @property
-    def noise_name(self) -> str:
-        """The preset that the noise in force equals, or "custom"."""
-        true, believed = preset(self.noise, self.tracker_preset)
-        in_force = (self.true_noise or true, self.believed_noise or believed)
-        return next((name for name in PRESETS if preset(name, self.tracker_preset) == in_force), "custom")
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +82,8 @@ class Exploration:
     truth: ExplorationTruth
     began_s: float  # on time.perf_counter
     records: list[Record] = field(default_factory=list)  # everything that is in the log
+    looks: dict[str, int] = field(default_factory=dict)  # of the robot tracker: what it was asked, what came of it
+    resumed: dict = field(default_factory=dict)  # how the place in an old map was recognized; empty: begun anew
     solution: RobustSolution | None = None
     batch: BatchEstimate | None = None
     dead_reckoning: Estimate | None = None
@@ -180,27 +116,30 @@ def prepare(settings: ExplorationSettings) -> Prepared:
     _require_start(settings.team, world)
     if settings.world not in world_names():
         settings = replace(settings, world=str(Path(settings.world).absolute()))  # config.toml is read from anywhere
-    rng = np.random.default_rng(settings.seed)
-    sensors = Sensors(
-        settings.true_noise,
-        settings.believed_noise,
-        rng,
-        settings.bias,
-        settings.false_sightings,
-        settings.tracker_limits,
-    )
-    team = Team(world, sensors, settings.team)
+    settings = replace(settings, vision=settings.vision.placed())
+    team = Team(world, _sensors(settings), settings.team)
     robots = settings.team.robots
-    return Prepared(settings, world, team, _driver(settings), Explorer(robots, settings.explorer))
+    return Prepared(settings, world, team, driver_of(settings), Explorer(robots, settings.explorer))
 
 
-def _driver(settings: ExplorationSettings) -> Estimator:
+def _sensors(settings: ExplorationSettings) -> Sensors:
+    """Statistical models, or an eye for a tracker with a camera. The pictures have random numbers of their own."""
+    rng = np.random.default_rng(settings.seed)
+    models = (settings.true_noise, settings.believed_noise, rng, settings.bias, settings.false_sightings)
+    if settings.tracker == "statistical":
+        return Sensors(*models, settings.tracker_limits)
+    eye = Eye(settings.sheet(), settings.vision, rng.spawn(1)[0])
+    return VisionSensors(*models, settings.tracker_limits, eye=eye)
+
+
+def driver_of(settings: ExplorationSettings) -> Estimator:
     """The estimator that the team steers by.
 
     The gate judges sightings with heading. False ones without are met by smoothers with a robust loss, by the filters
-    with a gate of their own.
+    with a gate of their own. A detector that withholds headings may err as well.
     """
     may_be_false = settings.false_sightings.outliers > 0 and not settings.tracker_limits.has_heading
+    may_be_false = may_be_false or settings.tracker != "statistical"
     timeline = TimelineSettings(loss=Loss("cauchy")) if may_be_false else None
     own = {
         "incremental": {"settings": settings.incremental, "timeline": timeline},
@@ -229,24 +168,33 @@ def explore(ready: Prepared, out: Path, watch: Callable[[Progress], None] | None
 
 
 def drive(ready: Prepared, out: Path, watch: Callable[[Progress], None] | None = None) -> Exploration:
-    """The mission alone; `out` gets config.toml and, move by move, log.mcap."""
+    """The mission alone; `out` gets config.toml and, move by move, log.mcap. An old map is resumed elsewhere."""
     began = time.perf_counter()
     settings, world = ready.settings, ready.world
+    if settings.resume_map:
+        raise BadInput("resume_map: explore_and_optimize.py resumes a map; nothing else does")
     (out / "config.toml").write_text(dump_toml(to_mapping(settings)), encoding="utf-8")
 
     records: list[Record] = []
-    with RunLogWriter(out / "log.mcap", _header(settings, world)) as log:
-
-        def keep(record: Record) -> None:
-            records.append(record)
-            log.append(record)
-            if isinstance(record, MoveNote):
-                log.flush()  # what a move brought is safe before the next
-
+    with RunLogWriter(out / "log.mcap", header_of(settings, world)) as log:
+        keep = keeper(records, log)
         mission = run_mission(ready.team, ready.driver, ready.explorer, keep, settings.budget, watch)
 
-    truth = _truth(ready.team.truth, world, records)
-    return Exploration(settings, world, mission, ready.driver, truth, began, records)
+    truth = truth_of(ready.team.truth, world, records)
+    looks = dict(ready.team.sensors.tally)
+    return Exploration(settings, world, mission, ready.driver, truth, began, records, looks)
+
+
+def keeper(records: list[Record], log: RunLogWriter) -> Callable[[Record], None]:
+    """What keeps each record in memory and on disk."""
+
+    def keep(record: Record) -> None:
+        records.append(record)
+        log.append(record)
+        if isinstance(record, MoveNote):
+            log.flush()  # what a move brought is safe before the next
+
+    return keep
 
 
 def conclude(run: Exploration, out: Path) -> None:
@@ -263,8 +211,9 @@ def draw(run: Exploration, out: Path) -> RunView:
     """figures/ and report.html of a run, which both go into its directory; what they show."""
     known = len(run.left_out)
     view = view_of(run)
-    drawn = [] if run.settings.figures == "none" else figures.draw_all(view, out / "figures")
-    html.write_report(out / "report.html", view, drawn)
+    if run.settings.figures != "none":
+        figures.draw_all(view, out / "figures")
+    html.write_report(out / "report.html", view, figures.drawn_in(out / "figures"))
     if len(run.left_out) > known:
         _write_summary(run, out)
     return view
@@ -319,17 +268,22 @@ def _dual_graph(run: Exploration) -> nx.Graph:
     return dual_graph(run.mission.explorer.free_map, run.final, RecordedOdometry(run.graph, run.final))
 
 
-def _header(settings: ExplorationSettings, world: World) -> LogHeader:
-    models = {"believed_noise": to_mapping(settings.believed_noise)}
+def header_of(settings: ExplorationSettings, world: World) -> LogHeader:
+    """Of the log of a simulated exploration."""
+    models = {"tracker": settings.tracker, "believed_noise": to_mapping(settings.believed_noise)}
+    if settings.tracker != "statistical":
+        models["data_sheet"] = to_mapping(settings.sheet())
     provenance = f"simulated by coopslam {__version__}"
     return LogHeader(
         settings.team.robots, seed=settings.seed, world=world.name, sensor_models=models, provenance=provenance
     )
 
 
-def _truth(truth: Truth, world: World, records: list[Record]) -> ExplorationTruth:
-    """The simulator's truth in the words of the evaluation."""
-    corner_of, misnamed = {}, 0
+def truth_of(
+    truth: Truth, world: World, records: Iterable[Record], known: Mapping[int, int] = MappingProxyType({})
+) -> ExplorationTruth:
+    """The simulator's truth in the words of the evaluation. known: map vertex -> true corner, from an earlier run."""
+    corner_of, misnamed = dict(known), 0
     for record in records:
         if isinstance(record, CornerDecision):
             corner = truth.sighted[record.sighting.stamp_s, record.sighting.observer]

@@ -18,6 +18,7 @@ from coopslam.evaluation.exploration_score import (
     score_triangulation,
     score_vertices,
 )
+from coopslam.evaluation.tracker_score import score_fixes
 from coopslam.io.toml import to_mapping
 from coopslam.io.tum import write_tum
 from coopslam.planning.dual_graph import signed_area_m2
@@ -61,9 +62,11 @@ def summarize(run: Exploration) -> dict:
         **(attempt("scores of the triangulation", _triangulation, run) or {}),
         **(attempt("scores of the vertices", _vertices, run) or {}),
         "sightings": _sightings(run),
+        "tracker": attempt("tracker", _tracker, run),
         "corners_misnamed": run.truth.misnamed,
         "smoothed_moved_m": attempt("smoothed_moved_m", lambda: _largest_move(mission.estimate, run.final)),
         "estimators": _estimators(run),
+        "resumed": run.resumed or None,
     }
     return {key: _finite(key, value, run.left_out) for key, value in summary.items() if value is not None}
 
@@ -89,6 +92,16 @@ def _sightings(run: Exploration) -> dict[str, int]:
     if run.solution is not None:
         found |= {"thrown_out": run.solution.thrown_out, "taken_back": run.solution.taken_back}
     return found
+
+
+def _tracker(run: Exploration) -> dict:
+    """Which robot tracker, how often it looked and what it said, and how near to the truth that was.
+
+    Pictures are more than looks: a bearing at which a robot is to stop is watched for in pictures of its own.
+    """
+    settings = run.settings
+    kind = settings.tracker_preset if settings.tracker == "statistical" else settings.tracker
+    return {"name": settings.tracker, "kind": kind, **run.looks, **score_fixes(run.records, run.truth.tracks)}
 
 
 def _estimators(run: Exploration) -> dict[str, dict]:

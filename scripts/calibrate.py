@@ -47,6 +47,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--rounds", metavar="N", type=int, default=4, help="of smoothing and calibrating, without truth; default: 4"
     )
+    parser.add_argument(
+        "--hold",
+        metavar="NAMES",
+        help="constants that are known to be right, comma between them, without truth: a scale that is held tells how "
+        f"large the world is; known: {', '.join(PARAMETERS)}",
+    )
     parser.add_argument("--config", metavar="S.toml", type=Path, help="settings, as of replay.py")
     parser.add_argument("--figures", choices=["none", "static"], default="static", help="default: static, beside --out")
     options = parser.parse_args(arguments)
@@ -56,6 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from_s = settings.from_s if options.from_s is None else options.from_s
     to_s = settings.to_s if options.to_s is None else options.to_s
     _check_out(options.out)
+    if options.hold is not None and options.with_truth:
+        raise BadInput("--hold: not with --with-truth, which measures every constant")
     source = open_log(options.log)
     is_mrclam = isinstance(source, MrclamSource)
     if is_mrclam:
@@ -65,16 +73,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     require_bounded_truth(truth, str(options.log))
     print(f"{log.name}: {len(log.records)} records of {len(log.header.robots)} robots read", flush=True)
     records = without_ignored(log.records, log.header, options.ignore or settings.ignore)
-    records = part_of(records, from_s, to_s, str(options.log))
+    records, not_told = part_of(records, from_s, to_s, str(options.log)), ()
     if options.with_truth:
         calibration, courses, landmarks = _against_truth(log, records, truth, options.log)
     else:
         timeline, own, tell = settings.estimation.timeline, settings.self_calibration, partial(print, flush=True)
-        found = calibrate_itself(log, records, is_mrclam, timeline, own, tell, options.rounds)
+        hold = None if options.hold is None else tuple(name.strip() for name in options.hold.split(","))
+        found = calibrate_itself(log, records, is_mrclam, timeline, own, tell, options.rounds, hold)
+        not_told = found.not_told
         calibration, courses, landmarks = found.calibration, found.solution.courses, found.solution.landmarks
     calibration = with_part(calibration, from_s, to_s)
     write_calibration(options.out, calibration)
     _show(calibration)
+    for line in not_told:
+        print(line)
     written = [options.out]
     if options.figures != "none":
         sightings = sightings_of(records, courses, landmarks)

@@ -81,11 +81,14 @@ class Driver:
             records += self._go_on(drive.robot, direction, stop - driven)
             driven = stop
             body.position = start + stop * direction if stop < distance else np.array(drive.target, dtype=float)
+            body.velocity = self.settings.speed_m_per_s * direction if stop < distance else np.zeros(2)
             scene.note_truth(drive.robot)
-            records += scene.fixes_of(drive.robot, drive.watcher)
-            if stop in passed:
-                records.append(scene.sight_corner(drive.robot, passed[stop]))
-            if stop < distance and drive.needs_contact and self._contact_seems_lost():
+            fixes = scene.fixes_of(drive.robot, drive.watcher)
+            sighted = [scene.sight_corner(drive.robot, passed[stop])] if stop in passed else []
+            lost = stop < distance and drive.needs_contact
+            lost = lost and scene.contact_seems_lost(drive.robot, drive.watcher, fixes)
+            records += sorted([*fixes, *sighted], key=lambda record: record.stamp_s)
+            if lost:
                 body.wall = self._wall_here(body, drive.wall_on_the_way)
                 return records, MoveEnd.CONTACT
         body.corner, body.wall = drive.corner, self._wall_here(body, drive.wall)
@@ -94,9 +97,6 @@ class Driver:
     def _wall_here(self, body: Body, wall: int | None) -> int | None:
         """The wall that a drive leads to or along, unless it stopped short of it."""
         return wall if wall is not None and self.scene.sight.is_at_wall(body.position, wall) else None
-
-    def _contact_seems_lost(self) -> bool:
-        return self.scene.sensors.contact_seems_lost(self.settings.confirmations)
 
     def _go_on(self, robot: str, direction: np.ndarray, distance: float) -> list:
         """Odometry of a stretch from where the robot is."""

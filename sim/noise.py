@@ -74,10 +74,13 @@ class TrackerLimits:
 
     max_range_m: float = field(default=inf, metadata={"infinite": True})  # farther away it sees nobody
     has_heading: bool = True  # without, a sighting is a bearing and a range
+    min_range_m: float = 0.0  # nearer it sees nobody either
 
     def __post_init__(self):
         if not self.max_range_m > 0:
             raise BadInput(f"max_range_m: more than zero expected, got {self.max_range_m}")
+        if not 0 <= self.min_range_m < self.max_range_m:
+            raise BadInput(f"min_range_m: zero or more, less than max_range_m expected, got {self.min_range_m}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,14 +1,15 @@
 """Where the robots truly are now, and what their trackers and finders report from there."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
 
 from coopslam.errors import BadInput
 from coopslam.records import BearingRangeFix, CornerSighting, PosePrior, RelativePoseFix
-from coopslam.se2 import Pose2
-from sim.sensors import Sensors
+from coopslam.se2 import Pose2, rotation
+from sim.sensors import Circumstances, Sensors
 from sim.sight import Sight
 from sim.team_settings import TeamSettings
 from sim.truth import Truth
@@ -28,6 +29,7 @@ class Body:
     heading: float  # rad, world frame
     corner: int | None = None
     wall: int | None = None
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(2))  # m/s, world frame
 
     @property
     def pose(self) -> Pose2:
@@ -39,7 +41,7 @@ class Scene:
 
     def __init__(self, world: World, sensors: Sensors, settings: TeamSettings):
         self.world, self.sensors, self.settings, self.sight = world, sensors, settings, Sight(world)
-        self.time_s = 0.0
+        self.time_s = settings.clock_s
         self.truth = Truth(world, settings.robots)
         self.bodies = _line_up(world, settings)
 
@@ -49,11 +51,21 @@ class Scene:
 
     def placings(self) -> list[PosePrior]:
         """How the team was set up, where that is all that tells which way each robot looks."""
-        if self.sensors.tracker_limits.has_heading:
-            return []
+        return [] if self.sensors.tracker_limits.has_heading else self._placings(self.settings.robots[1:])
+
+    def placings_of_unseen(self, fixes: Iterable[Fix]) -> list[PosePrior]:
+        """The same of robots that the first looks do not place with their heading, directly or by way of others."""
         first, *others = self.settings.robots
-        start = self.bodies[first].pose
-        return [self.sensors.placing(self.time_s, robot, start.between(self.bodies[robot].pose)) for robot in others]
+        if not self.sensors.may_withhold_headings:
+            return []
+        placed, pairs = {first}, [{f.observer, f.target} for f in fixes if isinstance(f, RelativePoseFix)]
+        while reached := [pair for pair in pairs if len(pair & placed) == 1]:
+            placed = placed.union(*reached)
+        return self._placings([robot for robot in others if robot not in placed])
+
+    def _placings(self, robots: Iterable[str]) -> list[PosePrior]:
+        start = self.bodies[self.settings.robots[0]].pose
+        return [self.sensors.placing(self.time_s, robot, start.between(self.bodies[robot].pose)) for robot in robots]
 
     def first_fixes(self) -> list[Fix]:
         """Everybody looks at everybody else, until each has seen each other: standing at one wall, all are in view.
@@ -89,12 +101,46 @@ class Scene:
         """Each robot's tracker looks at the other, which is in view."""
         if self._too_close(one, other):
             return []
-        a, b = self.bodies[one].pose, self.bodies[other].pose
-        looks = [
-            self.sensors.relative_pose(self.time_s, one, other, a.between(b)),
-            self.sensors.relative_pose(self.time_s, other, one, b.between(a)),
-        ]
+        looks = [self._look(one, other), self._look(other, one)]
         return [fix for fix in looks if fix is not None]
+
+    def contact_seems_lost(self, robot: str, watcher: str, fixes: list[Fix]) -> bool:
+        """Whether a robot and its watcher, in view of each other, come to believe that they are not.
+
+        fixes: of the last look around; those of further looks, for which the robot stops, are added to them.
+        """
+
+        def seen_again() -> bool:
+            self.time_s += self.settings.sighting_period_s
+            self.note_truth(robot)
+            more = self.mutual_fixes(watcher, robot)
+            fixes.extend(more)
+            return bool(more)
+
+        body, pair = self.bodies[robot], {robot, watcher}
+        seen = self._too_close(robot, watcher) or any({fix.observer, fix.target} == pair for fix in fixes)
+        body.velocity = np.zeros(2)
+        return self.sensors.contact_seems_lost(
+            self.settings.confirmations, seen_again=(lambda: True) if seen else seen_again
+        )
+
+    def bearing_error(self, robot: str, watcher: str, place: np.ndarray | None, velocity: np.ndarray) -> float | None:
+        """Of the bearing at which the watcher sees a robot come by, rad; None when it does not see it there.
+
+        place: (2,) in the world; None: it does not come by.  velocity: (2,) m/s, world frame; not zero.
+        """
+        if place is None:
+            return self.sensors.bearing_error()
+        observer = self.bodies[watcher].pose
+        passing = Pose2(*place, np.arctan2(velocity[1], velocity[0]))
+        turn = rotation(-observer.theta())
+        return self.sensors.bearing_error(observer.between(passing), Circumstances(observer.theta(), turn @ velocity))
+
+    def _look(self, one: str, other: str) -> Fix | None:
+        observer, target = self.bodies[one], self.bodies[other]
+        velocity = rotation(-observer.heading) @ (target.velocity - observer.velocity)
+        seen = Circumstances(observer.heading, velocity)
+        return self.sensors.relative_pose(self.time_s, one, other, observer.pose.between(target.pose), seen)
 
     def sight_corner(self, robot: str, corner: int) -> CornerSighting:
         """What the robot's finder reports of a corner in view; the truth keeps which one it was."""
@@ -108,7 +154,8 @@ class Scene:
 
     def _too_close(self, one: str, other: str) -> bool:
         apart = self.bodies[one].position - self.bodies[other].position
-        return bool(np.hypot(*apart) < self.settings.tracker_blind_m)
+        blind_m = max(self.settings.tracker_blind_m, self.sensors.tracker_limits.min_range_m)
+        return bool(np.hypot(*apart) < blind_m)
 
 
 def _corner_pose(world: World, corner: int) -> Pose2:

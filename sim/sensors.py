@@ -1,5 +1,7 @@
 """What robots measure: truth plus true noise, with the covariance that the robots believe in."""
 
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,6 +15,17 @@ LONGEST_DETOUR = 3.0  # times the straight way
 IN_PLACE_M = 1e-6  # nearer than this the line of sight has no direction but that of rounding
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Circumstances:
+    """What a sighting may depend on besides where the target is."""
+
+    observer_heading_rad: float = 0.0  # in the world
+    velocity_m_per_s: np.ndarray = field(default_factory=lambda: np.zeros(2))  # of the target, observer's axes
+
+
+AT_REST = Circumstances()
+
+
 @dataclass(frozen=True, slots=True)
 class Sensors:
     """Statistical models of odometry, robot tracker and corner finder. Noise is drawn from `rng`."""
@@ -23,6 +36,12 @@ class Sensors:
     bias: OdometryBias = field(default_factory=OdometryBias)
     false_sightings: FalseSightings = field(default_factory=FalseSightings)
     tracker_limits: TrackerLimits = field(default_factory=TrackerLimits)
+    tally: Counter[str] = field(default_factory=Counter)  # what the tracker was asked and what came of it
+
+    @property
+    def may_withhold_headings(self) -> bool:
+        """Whether a look may miss the target, or its heading, although the tracker measures headings."""
+        return False
 
     def odometry(
         self,
@@ -49,23 +68,30 @@ class Sensors:
         return records
 
     def relative_pose(
-        self, stamp_s: float, observer: str, target: str, T_observer_target: Pose2
+        self, stamp_s: float, observer: str, target: str, T_observer_target: Pose2, seen: Circumstances = AT_REST
     ) -> RelativePoseFix | BearingRangeFix | None:
         """What the tracker of `observer` says of `target`; None when it drops out. It may be a reflection.
 
         A tracker without heading says where the target is and not how it stands; beyond its range it says nothing.
         """
         shown, false, limits = T_observer_target, self.false_sightings, self.tracker_limits
+        self.tally["looks"] += 1
         if false.share > 0:
             chance = self.rng.random()
             if chance < false.dropouts:
                 return None
             if chance < false.share:
                 shown = self._reflection(T_observer_target)
-        if shown.range(np.zeros(2)) > limits.max_range_m:
+        if not limits.min_range_m <= shown.range(np.zeros(2)) <= limits.max_range_m:
             return None
+        return self._fix(stamp_s, observer, target, shown, seen)
+
+    def _fix(
+        self, stamp_s: float, observer: str, target: str, shown: Pose2, seen: Circumstances
+    ) -> RelativePoseFix | BearingRangeFix | None:
+        """What the tracker says of a target that is within its limits, or of the mirror image of one."""
         measured, cov = self._sighted(shown, self.true.tracker, self.believed.tracker)
-        if limits.has_heading:
+        if self.tracker_limits.has_heading:
             return RelativePoseFix(stamp_s, observer, target, measured, cov)
         x, y, _ = xytheta(measured)
         range_m = float(np.hypot(x, y))
@@ -95,12 +121,18 @@ class Sensors:
             self.believed.finder.interior_angle_sigma_rad,
         )
 
-    def bearing_error(self) -> float:
-        """Of a bearing that the tracker watches for, rad."""
+    def bearing_error(self, T_observer_target: Pose2 | None = None, seen: Circumstances = AT_REST) -> float | None:
+        """Of a bearing that the tracker watches for, rad; None when it does not see the target there.
+
+        T_observer_target: where the target would be seen at that bearing; None: nowhere on its way.
+        """
         return float(self.rng.standard_normal()) * self.true.tracker.bearing_sigma_rad
 
-    def contact_seems_lost(self, confirmations: int) -> bool:
-        """Whether so many consecutive sightings of a robot in plain view were all false."""
+    def contact_seems_lost(self, confirmations: int, seen_again: Callable[[], bool] | None = None) -> bool:
+        """Whether so many consecutive sightings of a robot in plain view were all false.
+
+        seen_again: looks once more, for sensors whose looks are not chance alone.
+        """
         share = self.false_sightings.share
         return share > 0 and bool(self.rng.random() < share**confirmations)
 

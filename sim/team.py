@@ -50,6 +50,7 @@ class Team:
         corner = self._scene.sight_corner(first, self._bodies[first].corner)
         placings = self._scene.placings()
         fixes = self._scene.first_fixes()
+        placings += self._scene.placings_of_unseen(fixes)
         return Step(self.time_s, (corner, *placings, *fixes), MoveEnd.CORNER)
 
     def execute(self, move: Move) -> Step:
@@ -204,13 +205,26 @@ class Team:
         lost = self.sight.contact_break(watcher.position, body.position, target, body.corner)
         seen = None
         if move.watch_for_rad is not None:
-            bearing = watcher.heading + move.watch_for_rad - self.sensors.bearing_error()
+            bearing = watcher.heading + move.watch_for_rad
             seen = _bearing_crossing(watcher, body.position, target, bearing)
+            error = self._bearing_error(move, target, seen)
+            if error is None:
+                lost = min(seen, lost if lost is not None else seen)
+            else:
+                seen = _bearing_crossing(watcher, body.position, target, bearing - error)
         if lost is not None and (seen is None or lost <= seen):
             return self._within_reach(_cut_short(there, body, lost, MoveEnd.CONTACT))
         if seen is not None:
             return self._within_reach(_cut_short(there, body, seen, MoveEnd.BEARING))
         return self._within_reach(there)
+
+    def _bearing_error(self, move, target, fraction: float | None) -> float | None:
+        """Of the bearing watched for, where the robot comes by it on its drive; None when it is not seen there."""
+        start = self._bodies[move.robot].position
+        way = target - start
+        place = None if fraction is None else start + fraction * way
+        velocity = self.settings.speed_m_per_s * way / max(float(np.hypot(*way)), TOLERANCE_M)
+        return self._scene.bearing_error(move.robot, move.watcher, place, velocity)
 
     def _drive(self, move, target, ended: MoveEnd, corner: int | None = None, wall: int | None = None) -> Step:
         """Drive straight to a place along the line of contact."""

@@ -28,12 +28,13 @@ class TeamSettings:
     confirmations: int = 5  # so many consecutive false sightings make the team believe that contact is lost
     finder_reach_m: float = 0.5
     tracker_blind_m: float = 0.02  # closer than this the tracker sees nothing
+    clock_s: float = 0.0  # what the robots' clock shows at the start
 
     def __post_init__(self):
         require_positive(start_step_m=self.start_step_m)
         for name in PACES:
             require_between(1e-3, 1e4, **{name: getattr(self, name)})
-        for name in ("finder_reach_m", "tracker_blind_m", "passing_corners_per_leg"):
+        for name in ("finder_reach_m", "tracker_blind_m", "passing_corners_per_leg", "clock_s"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise BadInput(f"{name}: zero or more expected, got {getattr(self, name)}")
         for name in ("sightings_per_leg", "confirmations"):

@@ -14,7 +14,8 @@ CLAIMED_SIGMAS = (0.03, 0.15)  # bearing, range: what the records say, of camera
 TRACKER_SIGMAS = np.array([0.01, 0.01, 0.01])  # x, y, heading
 HALF_VIEW_RAD = 0.6
 
-# range offset, range scale, bearing offset, odometry scale, turn scale, creep, drift, delay; the mean scales are equal
+# range offset, range scale, bearing offset, odometry scale, turn scale, creep, drift, delay; the mean scales are equal;
+# a ninth is the heading offset with which a tracker sees the robot
 PLANTED = {
     "a": (0.06, 1.03, 0.010, 1.05, 0.93, -0.06, -0.05, 0.25),
     "b": (-0.04, 0.98, -0.015, 1.00, 1.04, 0.03, 0.04, 0.15),
@@ -64,14 +65,14 @@ def miscalibrated_world(
     for k in range(2, steps - 2):
         if (k * STEP_S) % looks_s < STEP_S / 2:
             for robot in planted:
-                _look(world, robot, planted[robot], k, is_depth, tracker, rng)
+                _look(world, robot, planted, k, is_depth, tracker, rng)
     world.records.sort(key=lambda record: (record.stamp_s, not isinstance(record, Odometry)))
     return world
 
 
 def _drive(world, robot, wrong, steps, number, rng) -> None:
     """Odometry is what a robot was told; what it then does differs by what is wrong, and by chance."""
-    _, _, _, scale, turn_scale, creep, drift, delay = wrong
+    scale, turn_scale, creep, drift, delay = wrong[3:8]
     poses = [Pose2(*rng.uniform(-2, 2, 2), rng.uniform(-np.pi, np.pi))]
     for k in range(steps):
         phase = (k // 37 + number) % 4  # 3.7 s each: straight, left or right on the spot, a curve, a stop
@@ -90,9 +91,9 @@ def _drive(world, robot, wrong, steps, number, rng) -> None:
     world.truth[robot] = Track(np.arange(steps + 1) * STEP_S, poses)
 
 
-def _look(world, robot, wrong, k, is_depth, tracker, rng) -> None:
+def _look(world, robot, planted, k, is_depth, tracker, rng) -> None:
     """All that is in view, at the time of the k-th true pose."""
-    offset, scale, bearing_offset = wrong[:3]
+    offset, scale, bearing_offset = planted[robot][:3]
     pose, stamp = world.truth[robot].poses[k], k * STEP_S
     others = {other: track.poses[k] for other, track in world.truth.items() if other != robot}
     places = world.landmarks | {other: other_pose.translation() for other, other_pose in others.items()}
@@ -103,7 +104,8 @@ def _look(world, robot, wrong, k, is_depth, tracker, rng) -> None:
         if tracker and target in others:
             true = pose.between(others[target]) * Pose2(*(TRACKER_SIGMAS * rng.standard_normal(3)))
             x, y = np.array([true.x(), true.y()]) * (scale + offset / np.hypot(true.x(), true.y()))
-            seen = Pose2(0, 0, bearing_offset) * Pose2(x, y, true.theta())
+            askew = sum(planted[target][8:])
+            seen = Pose2(0, 0, bearing_offset) * Pose2(x, y, true.theta() + askew)
             cov = np.diag(TRACKER_SIGMAS**2)
             world.records.append(RelativePoseFix(stamp, robot, target, seen, cov))
             continue

@@ -14,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 
 import calibrate  # noqa: E402
 import compare  # noqa: E402
+import explore_and_optimize  # noqa: E402
 import replay  # noqa: E402
 from _cli import run  # noqa: E402
 
@@ -90,7 +91,7 @@ def test_the_file_holds_what_was_planted(with_truth):
     assert (found.provenance.from_s, found.provenance.to_s) == (0.0, 75.0)
     for robot, number in NUMBERS.items():
         one, sigmas = found.robots[f"robot{number}"], found.provenance.sigmas[f"robot{number}"]
-        for name, true in zip(PARAMETERS, PLANTED[robot], strict=True):
+        for name, true in zip(PARAMETERS[:8], PLANTED[robot], strict=True):
             assert getattr(one, name) == pytest.approx(true, abs=5 * sigmas[name]), name
     assert with_truth.with_suffix(".png").stat().st_size > 10_000
 
@@ -135,6 +136,18 @@ def test_without_truth(log, tmp_path, capsys):
     assert not path.with_suffix(".png").exists()
 
 
+def test_the_log_of_an_exploration(tmp_path, capsys):
+    assert call(explore_and_optimize, "--figures", "none", "--out", tmp_path / "run") == 0
+    capsys.readouterr()
+    options = ("--out", tmp_path / "c.toml", "--figures", "none")
+    assert call(calibrate, tmp_path / "run" / "log.mcap", *options) == 0
+    assert "size of the world: not observable" in capsys.readouterr().out
+    assert call(calibrate, tmp_path / "run", *options, "--hold", "odometry_scale, turn_scale") == 0
+    assert "not observable" not in capsys.readouterr().out
+    for one in load(tmp_path / "c.toml").robots.values():
+        assert (one.odometry_scale, one.turn_scale) == (1.0, 1.0) and one.heading_offset_rad != 0.0
+
+
 def refused(capsys, *arguments, script=calibrate) -> str:
     """The one line of a command that ends with exit code 2."""
     assert call(script, *arguments) == 2
@@ -144,6 +157,9 @@ def refused(capsys, *arguments, script=calibrate) -> str:
 
 def test_bad_arguments_are_one_line(log, with_truth, tmp_path, capsys):
     assert "--out" in refused(capsys, log)
+    out = ("--out", tmp_path / "c.toml")
+    assert "--hold" in refused(capsys, log, "--with-truth", "--hold", "delay_s", *out)
+    assert "hold: 'dely_s'" in refused(capsys, log, "--hold", "dely_s", *out)
     assert "does not exist" in refused(capsys, tmp_path / "nowhere", "--out", tmp_path / "c.toml")
     assert "directory that exists" in refused(capsys, log, "--out", tmp_path / "no" / "c.toml")
     (tmp_path / "notes.toml").write_text("thoughts = 1\n", encoding="utf-8")

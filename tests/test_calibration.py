@@ -29,7 +29,8 @@ def distorted(seed):
     rng = np.random.default_rng(seed)
     offset, bearing_offset, creep, drift, delay = rng.uniform(-0.1, 0.1, 5)
     scale, odometry_scale, turn_scale = rng.uniform(0.8, 1.2, 3)
-    of = RobotCalibration(offset, scale, bearing_offset, odometry_scale, turn_scale, creep, drift, delay)
+    askew = rng.uniform(-0.1, 0.1)  # of a's own target, which b sees
+    of = RobotCalibration(offset, scale, bearing_offset, odometry_scale, turn_scale, creep, drift, delay, askew)
     true, raw = [], []
     for k in range(20):
         stamp, range_m, bearing, heading = k + 1.0, rng.uniform(1, 6), rng.uniform(-1, 1), rng.uniform(-3, 3)
@@ -42,6 +43,7 @@ def distorted(seed):
             RangeFix(stamp, "a", "b", range_m, 0.1),
             BearingFix(stamp, "a", "b", bearing, 0.1),
             RelativePoseFix(stamp, "a", "b", polar(range_m, bearing, heading), COV),
+            RelativePoseFix(stamp, "b", "a", polar(range_m, bearing, heading), COV),
         ]
         raw += [
             Odometry(stamp - 1, stamp, "a", Pose2.Expmap(np.array([forward, 0.0, turn])), COV),
@@ -49,6 +51,7 @@ def distorted(seed):
             RangeFix(stamp, "a", "b", read, 0.1),
             BearingFix(stamp, "a", "b", seen, 0.1),
             RelativePoseFix(stamp, "a", "b", polar(read, seen, heading + bearing_offset), COV),
+            RelativePoseFix(stamp, "b", "a", polar(range_m, bearing, heading + askew), COV),
         ]
     return of, true, raw
 
@@ -72,7 +75,7 @@ def numbers(record):
 @pytest.mark.parametrize("seed", range(3))
 def test_what_wrong_sensors_said_becomes_what_was_true(seed):
     of, true, raw = distorted(seed)
-    found = calibrated(raw, Calibration({"a": of}, range_is_depth=True))
+    found = calibrated(raw, Calibration({"a": of, "b": RobotCalibration()}, range_is_depth=True))
     assert [type(record) for record in found] == [type(record) for record in true]
     for one, other in zip(found, true, strict=True):
         assert numbers(one) == pytest.approx(numbers(other), abs=1e-12)
@@ -205,3 +208,17 @@ def test_bad_files_are_said_with_file_and_field(tmp_path, text, named):
         from_mapping(Calibration, load_toml(path), str(path))
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("tilted_rad", "lowered_m"), [(0.002, 0.0), (0.0, 0.003), (-0.001, 0.002)])
+def test_what_a_wrong_tilt_or_height_of_the_tracker_does_to_ranges(tilted_rad, lowered_m):
+    """The formulas of the module's docstring against trigonometry; H is 0.3 m."""
+    ranges, below = np.linspace(2.5, 3.5, 21), 0.3
+    elevation = np.arctan2(below - lowered_m, ranges)
+    read = below / np.tan(elevation - tilted_rad)
+    error = lowered_m * ranges / below + tilted_rad * (ranges**2 + below**2) / below
+    np.testing.assert_allclose(read - ranges, error, rtol=0.08)  # first order: second is dR / R of that
+    scale = 1 + lowered_m / below + 2 * tilted_rad * 3.0 / below
+    offset = tilted_rad * (below**2 - 3.0**2) / below
+    left = tilted_rad * (ranges - 3.0) ** 2 / below
+    np.testing.assert_allclose(scale * ranges + offset + left - ranges, error, atol=1e-12)

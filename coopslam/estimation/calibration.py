@@ -9,7 +9,22 @@ drove d forward and turned by a. With the constants of `RobotCalibration`
     turn     = turn_scale a + drift_rad_per_m d
     stamp    = stamp of the odometry + delay_s
 
-A tracker that gives relative poses has a range and a bearing too, which are those of its target's position.
+A tracker that gives relative poses has a range and a bearing too, which are those of its target's position, and
+
+    heading  = h - bearing_offset_rad of who looks - heading_offset_rad of who is seen
+
+since the camera turns all that it sees, and a target that is mounted askew misleads everybody.
+
+What a tracker's data sheet says wrongly comes out as these constants. Range R is read off the row of a pattern that is
+H under (or over) the camera, at the elevation e with tan e = H / R. A camera that really looks dt further down, and is
+really dh lower over the pattern, than the sheet says, measures too far by
+
+    dR = dh R / H + dt (R^2 + H^2) / H            (first order: dR/dH = R / H, dR/de = -H / sin^2 e)
+
+So a wrong height is a range scale of 1 + dh / H. A wrong tilt is quadratic: over ranges about R0 it looks like the
+scale 1 + 2 dt R0 / H with the offset dt (H^2 - R0^2) / H, and what these two do not explain, dt (R - R0)^2 / H, calls
+for pictures at known distances (scripts/calibrate_tracker.py). A wrong yaw of the camera is a bearing offset, a helix
+that starts elsewhere a heading offset.
 """
 
 from collections import Counter
@@ -38,10 +53,12 @@ class RobotCalibration:
     creep_m_per_rad: float = 0.0  # forward motion when it turns, to either side
     drift_rad_per_m: float = 0.0  # to the left, when odometry says straight ahead
     delay_s: float = 0.0  # the robot moves this much later than the stamps of its odometry say; < 0: earlier
+    heading_offset_rad: float = 0.0  # others see this robot turned so much too far to the left
 
     def __post_init__(self):
         require_between(-100.0, 100.0, range_offset_m=self.range_offset_m, delay_s=self.delay_s)
-        require_between(-np.pi, np.pi, bearing_offset_rad=self.bearing_offset_rad)
+        angles = ("bearing_offset_rad", "heading_offset_rad")
+        require_between(-np.pi, np.pi, **{name: getattr(self, name) for name in angles})
         scales = ("range_scale", "odometry_scale", "turn_scale")
         require_between(0.01, 100.0, **{name: getattr(self, name) for name in scales})
         require_between(-10.0, 10.0, creep_m_per_rad=self.creep_m_per_rad, drift_rad_per_m=self.drift_rad_per_m)
@@ -170,7 +187,7 @@ def poses_of(twists: np.ndarray) -> np.ndarray:
 
 
 def calibrated_twists(twists: np.ndarray, constants: np.ndarray) -> np.ndarray:
-    """(N, 3) twists set right. constants: (N, 8), or (8,) for all, in the order of `PARAMETERS`."""
+    """(N, 3) twists set right. constants: (N, 9), or (9,) for all, in the order of `PARAMETERS`."""
     scale, turn_scale, creep, drift = np.atleast_2d(constants)[:, 3:7].T
     forward, sideways, turn = twists.T
     return np.column_stack(
@@ -230,13 +247,14 @@ def _bearing_only(fix: BearingFix, of: RobotCalibration, calibration: Calibratio
 
 def _relative_pose(fix: RelativePoseFix, of: RobotCalibration, calibration: Calibration) -> RelativePoseFix | None:
     """The tracker is turned by the bearing offset, so the target's heading turns with it. Its noise is its own."""
+    askew = calibration.of(fix.target).heading_offset_rad
     pose, offset = fix.T_observer_target, of.bearing_offset_rad
     raw_m = float(np.hypot(pose.x(), pose.y()))
     ratio = _range(raw_m, of) / raw_m if raw_m > 0 else 1.0
     if ratio < 0:
         return None
     bearing = float(np.arctan2(pose.y(), pose.x()))
-    turned = Pose2(0.0, 0.0, -offset) * Pose2(pose.x() * ratio, pose.y() * ratio, pose.theta())
+    turned = Pose2(0.0, 0.0, -offset) * Pose2(pose.x() * ratio, pose.y() * ratio, pose.theta() - askew)
     along, across = np.array([np.cos(bearing), np.sin(bearing)]), np.array([-np.sin(bearing), np.cos(bearing)])
     stretch = np.eye(3)
     stretch[:2, :2] = np.outer(along, along) / of.range_scale + np.outer(across, across) * ratio

@@ -33,7 +33,7 @@ class DrivenPath:
         return len(self.start_s)
 
     def at(self, stamps_s: np.ndarray, constants: np.ndarray) -> np.ndarray:
-        """(M, 3) x, y, heading (not wrapped) at (M,) stamps. constants: (8,) in the order of `PARAMETERS`."""
+        """(M, 3) x, y, heading (not wrapped) at (M,) stamps. constants: (9,) in the order of `PARAMETERS`."""
         twists = calibrated_twists(self.twists, constants)
         heading = np.concatenate([[0.0], np.cumsum(twists[:, 2])])
         steps = compose(np.column_stack([np.zeros((len(twists), 2)), heading[:-1]]), poses_of(twists))

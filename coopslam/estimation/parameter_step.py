@@ -21,10 +21,10 @@ from coopslam.estimation.loss import Loss
 from coopslam.estimation.tracks import Edge
 
 COUNT = len(PARAMETERS)
-DEFAULTS = np.array([0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-_STEPS = np.array([0, 0, 0, 1e-4, 1e-4, 1e-4, 1e-4, 0.02])  # for numeric derivatives of dead reckoning
-_RANGE_OFFSET, _RANGE_SCALE, _BEARING_OFFSET = 0, 1, 2
-_ODOMETRY = range(3, COUNT)
+DEFAULTS = np.array([0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+_STEPS = np.array([0, 0, 0, 1e-4, 1e-4, 1e-4, 1e-4, 0.02, 0])  # for numeric derivatives of dead reckoning
+_RANGE_OFFSET, _RANGE_SCALE, _BEARING_OFFSET, _HEADING_OFFSET = 0, 1, 2, 8
+_ODOMETRY = range(3, 8)
 _AT_ONE_SIGMA = Loss("cauchy").applied(gtsam.noiseModel.Unit.Create(1)).robust().weight(1.0)  # 1 / (1 + 1 / k^2)
 _CAUCHY_SQ = _AT_ONE_SIGMA / (1.0 - _AT_ONE_SIGMA)  # k^2
 
@@ -60,7 +60,7 @@ def reduced(
     """Linearize and eliminate the trajectory.
 
     legs: of odometry in the graph.  stamps_s: of pose variables.  paths: raw odometry of each robot, by its index.
-    constants: (robots, 8), with which the measurements in the graph were calibrated; its robust losses are
+    constants: (robots, 9), with which the measurements in the graph were calibrated; its robust losses are
     Cauchy's.  Raises UnderDetermined when the trajectory has an open direction.
     """
     linear = graph.linearize(values)
@@ -88,9 +88,9 @@ def reduced(
 
 
 def _columns(factors, first, b, legs, stamps_s, paths, constants) -> csr_matrix:
-    """(rows, 8 robots) derivatives of all whitened errors by the constants."""
+    """(rows, 9 robots) derivatives of all whitened errors by the constants."""
     of_legs = {(leg.key_a, leg.key_b): leg.T_a_b for leg in legs}
-    sightings: dict[int, list[tuple]] = {}  # number of rows -> row, observer, (rows, 3) derivatives, noise
+    sightings: dict[int, list[tuple]] = {}  # number of rows -> row, columns, (rows, K) derivatives, noise
     driven: dict[int, list[tuple]] = {}  # robot -> row, keys of start and end, noise
     for factor, row in zip(factors, first.tolist(), strict=False):
         derivatives = _SIGHTINGS.get(type(factor))
@@ -98,14 +98,14 @@ def _columns(factors, first, b, legs, stamps_s, paths, constants) -> csr_matrix:
         robot = robot_index(keys[0])
         if derivatives is not None and robot is not None:
             block = derivatives(factor.measured(), constants[robot])
-            sightings.setdefault(len(block), []).append((row, robot, block, factor.noiseModel()))
+            sightings.setdefault(len(block), []).append((row, _columns_of(robot), block, factor.noiseModel()))
         elif isinstance(factor, gtsam.BetweenFactorPose2) and robot is not None:
             other = robot_index(keys[1])
             if other == robot and tuple(keys) in of_legs and of_legs[tuple(keys)].equals(factor.measured(), 1e-9):
                 driven.setdefault(robot, []).append((row, *keys, factor.noiseModel()))
             elif other is not None and other != robot:
                 block = _relative_pose(factor.measured(), constants[robot])
-                sightings.setdefault(3, []).append((row, robot, block, factor.noiseModel()))
+                sightings.setdefault(3, []).append((row, _columns_of(robot, other), block, factor.noiseModel()))
     entries = [_seen(own, b) for own in sightings.values()]
     for robot, own in driven.items():
         if paths[robot] is not None:
@@ -115,17 +115,22 @@ def _columns(factors, first, b, legs, stamps_s, paths, constants) -> csr_matrix:
 
 
 def _seen(own: Sequence[tuple], b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, columns and entries (each (N, n, 3)) of sightings with n rows."""
-    row, robot, blocks, noises = zip(*own, strict=True)
+    """Rows, columns and entries (each (N, n, K)) of sightings with n rows."""
+    row, columns, blocks, noises = zip(*own, strict=True)
     blocks = np.array(blocks)
     rows = np.array(row)[:, None] + np.arange(blocks.shape[1])
     blocks = np.array([_root(noise) for noise in noises]) @ blocks
     robust = np.array([isinstance(noise, gtsam.noiseModel.Robust) for noise in noises])
     # the weight w that a residual d has got: b^2 = w d^2 with w = 1 / (1 + d^2 / k^2)
     weights = np.where(robust, np.maximum(1.0 - (b[rows] ** 2).sum(axis=1) / _CAUCHY_SQ, 1e-9), 1.0)
-    columns = COUNT * np.array(robot)[:, None] + np.array([_RANGE_OFFSET, _RANGE_SCALE, _BEARING_OFFSET])
-    rows, columns = np.broadcast_arrays(rows[:, :, None], columns[:, None, :])
+    rows, columns = np.broadcast_arrays(rows[:, :, None], np.array(columns)[:, None, :])
     return rows, columns, blocks * np.sqrt(weights)[:, None, None]
+
+
+def _columns_of(observer: int, target: int | None = None) -> list[int]:
+    """Of range offset, range scale, bearing offset of who looks, and heading offset of a robot whose pose is seen."""
+    columns = [COUNT * observer + parameter for parameter in (_RANGE_OFFSET, _RANGE_SCALE, _BEARING_OFFSET)]
+    return columns if target is None else [*columns, COUNT * target + _HEADING_OFFSET]
 
 
 def _driven(own: Sequence[tuple], robot: int, stamps_s, path: DrivenPath, constants: np.ndarray) -> tuple:
@@ -139,7 +144,8 @@ def _driven(own: Sequence[tuple], robot: int, stamps_s, path: DrivenPath, consta
     return rows, columns, roots @ _leg_derivatives(path, starts_s, ends_s, constants)
 
 
-# (rows, 3) derivatives of a sighting's error by offset and scale of the range and offset of the bearing
+# (rows, 3) derivatives of a sighting's error by offset and scale of the range and offset of the bearing; of a relative
+# pose a fourth column by the offset of the heading
 
 
 def _bearing_range(measured, constants: np.ndarray) -> list[list[float]]:
@@ -162,7 +168,7 @@ def _relative_pose(T_observer_target: gtsam.Pose2, constants: np.ndarray) -> np.
     c, s = np.cos(heading), np.sin(heading)
     to_target = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     along = np.array([x, y, 0.0]) / range_m / scale
-    return to_target @ np.column_stack([along, range_m * along, [-y, x, 1.0]])
+    return to_target @ np.column_stack([along, range_m * along, [-y, x, 1.0], [0.0, 0.0, 1.0]])
 
 
 def _leg_derivatives(path: DrivenPath, starts_s: np.ndarray, ends_s: np.ndarray, constants: np.ndarray) -> np.ndarray:
@@ -196,9 +202,9 @@ _SIGHTINGS = {
 def best_change(
     found: Reduced, constants: np.ndarray, prior_sigmas: np.ndarray, free: np.ndarray, has_scale: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Change of the (robots, 8) constants, and their (robots, 8) standard deviations.
+    """Change of the (robots, 9) constants, and their (robots, 9) standard deviations.
 
-    prior_sigmas: (8,) about `DEFAULTS`.  free: (robots, 8) bool; the others go to their defaults.
+    prior_sigmas: (9,) about `DEFAULTS`.  free: (robots, 9) bool; the others go to their defaults.
     has_scale: something measures the size of the world. Otherwise odometry and ranges share an unknown scale, and the
     mean scale of odometry is held equal to the mean scale of ranges (to one where only one of the two is free).
     """
@@ -228,7 +234,7 @@ def best_change(
 
 
 def scale_gauge(free: np.ndarray) -> np.ndarray:
-    """(robots, 8) coefficients of mean odometry scale less mean range scale, of those that are free."""
+    """(robots, 9) coefficients of mean odometry scale less mean range scale, of those that are free."""
     gauge = np.zeros(free.shape)
     for parameter, sign in ((3, 1.0), (_RANGE_SCALE, -1.0)):
         if free[:, parameter].any():

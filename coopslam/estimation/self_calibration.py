@@ -9,6 +9,8 @@ world and the scale of odometry by s, divide the scale of ranges by s, and every
 fixed size rewards a small world. So the gauge is a hard constraint: the mean scale of odometry equals the mean scale of
 ranges, each being as likely to be wrong. Where surveys or loop closures measure the world there is no such constraint.
 
+A constant that is known to be right can be held at its default; a scale that is held tells how large the world is.
+
 Constants that the log does not excite stay at their defaults: those whose posterior standard deviation remains above a
 share of the prior one. The noise of sightings is never read off the solved trajectory, which bends to them; a size that
 is fed back becomes smaller in each round.
@@ -21,7 +23,7 @@ from dataclasses import astuple, dataclass, field, replace
 import gtsam
 import numpy as np
 
-from coopslam.errors import BadInput, require_between, require_positive
+from coopslam.errors import BadInput, require_between, require_positive, shown
 from coopslam.estimation import batch
 from coopslam.estimation.batch import BatchEstimate
 from coopslam.estimation.calibration import PARAMETERS, Calibration, CameraNoise, Provenance, RobotCalibration
@@ -56,6 +58,7 @@ class PriorSigmas:
     creep_m_per_rad: float = 0.1
     drift_rad_per_m: float = 0.1
     delay_s: float = 0.3
+    heading_offset_rad: float = 0.1
 
     def __post_init__(self):
         require_positive(1e3, **{name: getattr(self, name) for name in PARAMETERS})
@@ -71,9 +74,13 @@ class SelfCalibrationSettings:
     camera: CameraNoise | None = None  # noise of calibrated sightings; None: as the records say
     reads_odometry_noise: bool = False  # from windows of the solved trajectory, after the first round
     smooth: SmoothSettings = field(default_factory=SmoothSettings)
+    hold: tuple[str, ...] = ()  # constants that are known to be right, of all robots
 
     def __post_init__(self):
         require_between(1, 100, rounds=self.rounds)
+        for name in self.hold:
+            if name not in PARAMETERS:
+                raise BadInput(f"hold: {shown(name)}: expected some of {', '.join(PARAMETERS)}")
         require_between(0.0, 1.0, excited=self.excited)
 
 
@@ -84,6 +91,7 @@ class SelfCalibrated:
     calibration: Calibration
     solution: Solution
     seconds: float
+    not_told: tuple[str, ...] = ()  # by the log, in words
 
 
 def self_calibrate(
@@ -111,6 +119,7 @@ def self_calibrate(
     is_depth = looks_like_depth(solution.sightings(records))
     constants = np.tile(DEFAULTS, (len(robots), 1))
     calibration = _calibration(constants, robots, is_depth, settings.camera)
+    knows_scale = _knows_scale(records) or bool({"odometry_scale", "range_scale"} & set(settings.hold))
     for number in range(settings.rounds):
         ready = synchronized(set_right(records, calibration))
         found = rebuilt(ready, robots, landmarks, timeline, solution, robust_fixes=True)
@@ -118,7 +127,7 @@ def self_calibrate(
         step = reduced(
             found.graph, values, found.legs, found.timeline.stamps, [paths.get(robot) for robot in robots], constants
         )
-        change, sigmas = _excited_change(step, constants, settings, _knows_scale(records))
+        change, sigmas = _excited_change(step, constants, settings, knows_scale)
         constants = constants + change
         solution = Solution.of(found.timeline, step.moved(values, change.ravel()), end_s)
         odometry = calibration.odometry
@@ -136,7 +145,9 @@ def self_calibrate(
         residuals_before=sizes(sightings, paths, solution.courses, Calibration({})),
         residuals_after=sizes(sightings, paths, solution.courses, calibration),
     )
-    return SelfCalibrated(replace(calibration, provenance=provenance), solution, time.perf_counter() - began)
+    done = replace(calibration, provenance=provenance)
+    words = _not_told(robots, sigmas, settings, knows_scale)
+    return SelfCalibrated(done, solution, time.perf_counter() - began, words)
 
 
 def smooth_calibrated(
@@ -186,11 +197,35 @@ def _relaxed(found: Rebuilt) -> gtsam.Values:
 def _excited_change(
     step, constants: np.ndarray, settings: SelfCalibrationSettings, knows_scale: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Change of the (robots, 8) constants that the log excites, the others going to their defaults, and sigmas."""
+    """Change of the (robots, 9) constants that the log excites, the others going to their defaults, and sigmas."""
     prior = np.array(astuple(settings.prior))
-    everything = np.ones(constants.shape, dtype=bool)
-    _, sigmas = best_change(step, constants, prior, everything, knows_scale)
-    return best_change(step, constants, prior, sigmas < settings.excited * prior, knows_scale)
+    free = np.tile([name not in settings.hold for name in PARAMETERS], (len(constants), 1))
+    _, sigmas = best_change(step, constants, prior, free, knows_scale)
+    excited = free & (sigmas < settings.excited * prior)
+    change, sigmas = best_change(step, constants, prior, excited, knows_scale)
+    return change, np.where(free, sigmas, 0.0)
+
+
+def _not_told(
+    robots: Sequence[str], sigmas: np.ndarray, settings: SelfCalibrationSettings, knows_scale: bool
+) -> tuple[str, ...]:
+    """In words, what the log leaves open. sigmas: (robots, 9)."""
+    said = []
+    for robot, own in zip(robots, sigmas, strict=True):
+        open_ = [
+            name for name, sigma, prior in zip(PARAMETERS, own, astuple(settings.prior), strict=True) if sigma == prior
+        ]
+        if open_:
+            said.append(f"{robot}: {', '.join(open_)}: not observable in this log, kept at the default")
+    scales = [PARAMETERS.index("range_scale"), PARAMETERS.index("odometry_scale")]
+    if not knows_scale and (sigmas[:, scales] < np.array(astuple(settings.prior))[scales]).any(axis=0).all():
+        said.append(
+            "size of the world: not observable in this log; only the product of range_scale and odometry_scale is, and "
+            "their means are held equal (hold one of the two that is known to be right, or survey two places)"
+        )
+    elif not knows_scale:
+        said.append("size of the world: nothing in this log measures it")
+    return tuple(said)
 
 
 def _with_legs(settings: TimelineSettings, records: Iterable[Record]) -> TimelineSettings:

@@ -18,6 +18,7 @@ from coopslam.se2 import wrap
 
 FEWEST = 200  # residuals from which a size of noise is read
 WINDOWS_S = (2.0, 5.0, 10.0, 20.0)  # over which odometry is held against the trajectory
+_DELAY = PARAMETERS.index("delay_s")
 _BINS = 12
 _MOST_LOST_S = 0.2  # a longer part of a window without odometry, and it says nothing
 _DEPTH_SHARE = 0.4  # of the bend that depths have
@@ -128,8 +129,8 @@ def windows_of(path: DrivenPath, course: Course, length_s: float, constants: np.
 
     They begin and end with stamps of the course, between which it may be a chord of a long way.
     """
-    first = max(course.stamps_s[0], path.start_s[0] + constants[-1])
-    last = min(course.stamps_s[-1], path.end_s[-1] + constants[-1])
+    first = max(course.stamps_s[0], path.start_s[0] + constants[_DELAY])
+    last = min(course.stamps_s[-1], path.end_s[-1] + constants[_DELAY])
     edges = np.searchsorted(course.stamps_s, np.arange(first, last + 1e-9, length_s) - 1e-6)
     edges = course.stamps_s[np.unique(np.minimum(edges, len(course.stamps_s) - 1))]
     edges = edges[edges <= last + 1e-6]
@@ -145,7 +146,7 @@ def windows_of(path: DrivenPath, course: Course, length_s: float, constants: np.
 
 
 def constants_of(one: RobotCalibration) -> np.ndarray:
-    """(8,) constants in the order of `PARAMETERS`."""
+    """(9,) constants in the order of `PARAMETERS`."""
     return np.array([getattr(one, name) for name in PARAMETERS])
 
 

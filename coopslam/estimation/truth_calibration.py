@@ -23,17 +23,19 @@ from coopslam.estimation.sensor_residuals import (
     camera_noise,
     looks_like_depth,
     odometry_noise,
+    robust_fit,
     sightings_of,
     sizes,
     windows_of,
 )
 from coopslam.odometry_noise import CommandNoise, Walk
-from coopslam.records import Record
-from coopslam.se2 import Pose2
+from coopslam.records import Record, RelativePoseFix
+from coopslam.se2 import Pose2, wrap
 
 _CAUCHY_SIGMAS = 2.385  # 95 % efficiency for normal errors (Holland and Welsch 1977)
 # Of odometry's fit: a delay moves the windows in which the robot drives; Cauchy's loss has minima of its own far off.
 _LOSSES = ("soft_l1", "cauchy", "cauchy")
+FEWEST_HEADINGS = 3
 _DERIVATIVE_STEP = 0.01
 _CAMERA, _ODOMETRY = slice(0, 3), slice(3, 8)
 _ASSUMED = CommandNoise(Walk(0.02, 0.03, 0.001), Walk(0.005, 0.005, 0.0007), Walk(0.03, 0.09, 0.001))
@@ -91,6 +93,7 @@ def truth_calibrate(
             _fit_odometry(paths[robot], course, settings, constants, own_sigmas)
         robots_done[robot] = RobotCalibration(*constants.tolist())
         sigmas[robot] = dict(zip(PARAMETERS, own_sigmas.tolist(), strict=True))
+    _fit_headings(records, courses, settings, robots_done, sigmas)
     if not sightings and not paths.keys() & courses.keys():
         raise BadInput(f"{log or 'the log'}: no odometry nor sighting of a robot with truth; nothing to calibrate")
     calibration = Calibration(robots_done, is_depth)
@@ -116,7 +119,7 @@ def course_of(track: TrueTrack) -> Course:
 def _fit_camera(
     sightings: Sightings, is_depth: bool, settings: TruthCalibrationSettings, constants: np.ndarray, sigmas: np.ndarray
 ) -> None:
-    """Offset and scale of ranges and offset of bearings, into (8,) constants and sigmas."""
+    """Offset and scale of ranges and offset of bearings, into (9,) constants and sigmas."""
     noise = settings.camera
     range_sigmas = noise.range_sigma(sightings.range_m)
     measured = sightings.undepthed(is_depth)
@@ -134,7 +137,7 @@ def _fit_camera(
 def _fit_odometry(
     path: DrivenPath, course: Course, settings: TruthCalibrationSettings, constants: np.ndarray, sigmas: np.ndarray
 ) -> None:
-    """Scales, creep, drift and delay, into (8,) constants and sigmas."""
+    """Scales, creep, drift and delay, into (9,) constants and sigmas."""
     for loss in _LOSSES:
         windows = windows_of(path, course, settings.window_s, constants)
         if not len(windows.starts_s):
@@ -152,6 +155,32 @@ def _fit_odometry(
             return every[np.isfinite(every)]
 
         _fit(residuals, _ODOMETRY, settings, constants, sigmas, loss)
+
+
+def _fit_headings(
+    records: Sequence[Record],
+    courses: Mapping[str, Course],
+    settings: TruthCalibrationSettings,
+    done: dict[str, RobotCalibration],
+    sigmas: dict[str, dict[str, float]],
+) -> None:
+    """Offsets of the headings that robots are seen with, once the bearing offsets of those who look are known."""
+    seen: dict[str, list[tuple[float, float]]] = {}
+    for fix in records:
+        if isinstance(fix, RelativePoseFix) and fix.observer in courses and fix.target in courses:
+            eye, goal = (courses[robot].at(np.array([fix.stamp_s]))[0, 2] for robot in (fix.observer, fix.target))
+            error = wrap(fix.T_observer_target.theta() - (goal - eye) - done[fix.observer].bearing_offset_rad)
+            if np.isfinite(error):
+                seen.setdefault(fix.target, []).append((float(error), sigmas[fix.observer]["bearing_offset_rad"]))
+    for robot, rows in seen.items():
+        errors, of_bearings = np.array(rows).T
+        if len(errors) < FEWEST_HEADINGS:
+            continue
+        (offset,), (sigma,) = robust_fit(np.ones((len(errors), 1)), errors)
+        total, prior = float(np.hypot(sigma, of_bearings.max())), settings.prior.heading_offset_rad
+        if total < settings.excited * prior:
+            done[robot] = replace(done[robot], heading_offset_rad=float(offset))
+            sigmas[robot]["heading_offset_rad"] = total
 
 
 def _fit(

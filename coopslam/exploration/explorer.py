@@ -6,7 +6,7 @@ roles, doorways. It never holds the world. Every wall of the map gets walked: a 
 robot that follows it arrives at its partner, so "wall or narrow triangle" is never a matter of measured angles.
 """
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass, field
 
 from coopslam.errors import require_positive
@@ -29,7 +29,7 @@ from coopslam.exploration.navigation import MAX_HALVINGS, NOWHERE_ELSE, Navigati
 from coopslam.exploration.recognition import RecognitionSettings, Walked, known_corners
 from coopslam.exploration.strategies import STRATEGIES, StrategyName
 from coopslam.exploration.sweep import Sweep, gate_ahead, next_known, stands_between, ways_to_sweep
-from coopslam.exploration.travel import reachable_gates
+from coopslam.exploration.travel import Crossing, reachable_gates
 from coopslam.records import CornerSighting, TriangleDecision
 
 
@@ -54,10 +54,13 @@ Actions = Generator[Move | Decided, Step | None, str]
 class Explorer:
     """Decides for a team: the first two robots explore, the others come along and watch."""
 
-    def __init__(self, robots: tuple[str, ...], settings: ExplorerSettings | None = None):
+    def __init__(
+        self, robots: tuple[str, ...], settings: ExplorerSettings | None = None, free_map: FreeMap | None = None
+    ):
+        """free_map: known before; nothing without one."""
         self.robots = robots
         self.settings = settings or ExplorerSettings()
-        self.free_map = FreeMap()
+        self.free_map = FreeMap() if free_map is None else free_map
         self.chart = Chart(self.free_map, self.settings.chart)
         self.crew = Crew(
             robots, self.free_map, self.chart, self.settings.recognition, self.settings.reobserve, last_mover=robots[1]
@@ -84,6 +87,7 @@ class Explorer:
 
     def _walk_first_wall(self, first: Step):
         crew, (watcher, mover) = self.crew, self.crew.pair
+        crew.now_s = first.stamp_s
         corner = crew.new_vertex(first.corner)
         self.at[watcher] = corner.vertex
         yield Decided((corner,))
@@ -109,12 +113,17 @@ class Explorer:
         option = STRATEGIES[self.settings.strategy]().choose(options, self.chart)
         if option is None:
             raise Stuck(f"no way over the mapped triangles from vertices {self.at} to an open gate")
-        for crossing in option.crossings:
+        yield from self._cross(option.crossings)
+        return option.gate
+
+    def _cross(self, crossings: Iterable[Crossing]):
+        """One of the pair after the other goes a stretch of the way while its partner stands."""
+        one, other = self.crew.pair
+        for crossing in crossings:
             stander = self.crew.last_mover if self.at[one] == self.at[other] else None
             mover = next(r for r in self.crew.pair if self.at[r] == crossing.start and r != stander)
             yield from self._leave(mover)
             yield from self.navigation.cross(mover, crossing.end)
-        return option.gate
 
     def _leave(self, mover: str):
         """Before one of the pair leaves its vertex, followers that only it ties to the other one come there.

@@ -140,7 +140,7 @@ class Identification:
         sweep, partner = case.sweep, case.sweep.watcher
         best = next(match for match in case.matches if match.vertex not in case.visited)
         case.visited.add(best.vertex)
-        route = self._route(sweep.pivot, best.vertex)
+        route = self.route(sweep.pivot, best.vertex)
         if route is None:
             return
         been = [sweep.pivot]
@@ -185,7 +185,7 @@ class Identification:
         density = corner_density(crew.chart, crew.recognition, here, vertex)
         return max(log_odds(crew.chart, pairs, density, crew.recognition.angle_sigmas)[0], -CERTAIN_LOG_ODDS)
 
-    def _route(self, start: int, end: int) -> list[int] | None:
+    def route(self, start: int, end: int) -> list[int] | None:
         """Vertices along the shortest way over known edges."""
         free_map, place = self.crew.free_map, self.crew.chart.position
         graph = nx.Graph()

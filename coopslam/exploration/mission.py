@@ -1,7 +1,7 @@
 """The one loop: the explorer decides, the team acts, the log keeps, the estimator smooths."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Protocol
 
@@ -73,10 +73,14 @@ def run_mission(
     log: Callable[[Record], None],
     budget: Budget | None = None,
     watch: Callable[[Progress], None] | None = None,
+    begun: Mission | None = None,
 ) -> Mission:
-    """Explore until complete, stuck or out of budget. Every record goes to `log` before it is used."""
+    """Explore until complete, stuck or out of budget. Every record goes to `log` before it is used.
+
+    begun: what the same robots did before, under another explorer; its account goes on.
+    """
     budget = budget or Budget()
-    mission = Mission(explorer, travel_m=dict.fromkeys(explorer.robots, 0.0))
+    mission = replace(begun or Mission(explorer, travel_m=dict.fromkeys(explorer.robots, 0.0)), explorer=explorer)
     last_mover = None
 
     def use(records) -> None:

@@ -39,23 +39,44 @@ class GateOption:
 
 
 def reachable_gates(free_map: FreeMap, at: tuple[int, int], positions: Positions) -> Iterator[GateOption]:
-    """The open gates, nearest first, from the vertices where the team stands; searched as far as they are asked for.
+    """The open gates, nearest first, from the vertices where the team stands; searched as far as they are asked for."""
+    for edge, metres, came in _reachable_edges(free_map, at, positions):
+        for gate in (edge, edge[::-1]):
+            if gate in free_map.gates:
+                triangle = free_map.gates[gate]
+                yield GateOption(gate, _unwind(came, edge), metres, -1 if triangle is None else triangle)
+
+
+def way_to_edge(
+    free_map: FreeMap, at: tuple[int, int], positions: Positions, is_goal: Callable[[int, int], bool]
+) -> tuple[Crossing, ...] | None:
+    """The way with the fewest metres to a pair of vertices of the right kind; None: there is none."""
+    for edge, _, came in _reachable_edges(free_map, at, positions):
+        if is_goal(*edge):
+            return _unwind(came, edge)
+    return None
+
+
+Came = dict[tuple[int, int], tuple[tuple[int, int], Crossing] | None]  # edge -> the one before, and how it went on
+
+
+def _reachable_edges(
+    free_map: FreeMap, at: tuple[int, int], positions: Positions
+) -> Iterator[tuple[tuple[int, int], float, Came]]:
+    """Pairs of vertices on which the team can stand, how many metres away they are, and how it got there so far.
 
     One Dijkstra search over the edges of the map; of ways of equal length the one over the smaller edges.
     """
     places = _Places(positions)
     start = _edge(*at)
-    came: dict[tuple[int, int], tuple[tuple[int, int], Crossing] | None] = {start: None}
+    came: Came = {start: None}
     cost = {start: 0.0}
     queue = [(0.0, start)]
     while queue:
         so_far, edge = heappop(queue)
         if so_far > cost[edge]:
             continue
-        for gate in (edge, edge[::-1]):
-            if gate in free_map.gates:
-                triangle = free_map.gates[gate]
-                yield GateOption(gate, _unwind(came, edge), so_far, -1 if triangle is None else triangle)
+        yield edge, so_far, came
         for crossing in crossings_from(free_map, edge, places.__getitem__):
             after = _edge(crossing.end, crossing.stander)
             total = so_far + places.metres(crossing.start, crossing.end)

@@ -25,7 +25,7 @@ PATH_STYLES = {
     "causal": ("as known at each moment (causal)", {"color": ORANGE, "linewidth": 2.4, "zorder": 4}),
     "smoothed": ("smoothed", {"color": BLUE, "linewidth": 1.0, "zorder": 5}),
 }
-IN_ORDER = ("map", "trajectories", "dual_graph", "uncertainty", "vertex_errors")  # of a report
+IN_ORDER = ("recognition", "map", "trajectories", "dual_graph", "uncertainty", "vertex_errors")  # of a report
 ROOM_FOR_DRIFT = 0.12  # of the world's size on each side, for odometry that leaves the world
 
 

@@ -9,6 +9,12 @@ CAPTIONS = {
         "estimate has them, with their 95 % ellipses enlarged as the legend says; the faint circles "
         "are where odometry alone would put them.",
     ),
+    "recognition": (
+        "Where the team woke up",
+        "The old map, and on it in orange what the team explored before it knew where it was, at the place that "
+        "explains it best; dots are corners that are the same in both. Places that explain it as well are dashed: as "
+        "long as there are any, nothing is recognized.",
+    ),
     "map": (
         "The map",
         "Black lines are the walls as mapped, grey ones the true walls where the truth is known; obstacles and the "

@@ -1,0 +1,152 @@
+"""Finds a robot by its helix: the whole pattern is searched for, every pixel of it is fitted, the rest is checked.
+
+What the fit explains must be nearly everything, light and dark must differ as paint does, what lies beside the
+silhouette must not carry the pattern on, and the lens must not be more blurred than it can be. The heading is withheld
+where the stripe is hidden or another heading fits about as well.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from coopslam.errors import require_positive
+from coopslam.se2 import Pose2, rotation, wrap
+from tracker.camera import Camera
+from tracker.detector import Detection, require_picture
+from tracker.helix import Helix
+from tracker.helix_fit import HelixFit, Sought, fit_helix
+from tracker.helix_linear import first_blur_log
+from tracker.helix_model import Part
+from tracker.helix_search import HelixSearch
+from tracker.sight import pyramid_of
+
+OUTSIDE = 0.2  # share of a pixel within the silhouette, at most, that counts as beside it
+NEAR_LIMB = 0.6  # sine of the angle from the facing generator, from which on a pixel is near the silhouette
+PARTS = Part(left=-0.15), Part(right=0.15), Part(lower=0.45), Part(upper=0.55)  # when something hides the rest
+FLAT_GREY = 4.0  # sigma below which what is beside is flat
+
+
+@dataclass(frozen=True, slots=True)
+class HelixDetectorSettings:
+    """When a detection is believed. Raises BadInput naming the field."""
+
+    farthest_m: float = 11.0  # that is looked for
+    candidates: int = 3  # places that are fitted, at most
+    score_min: float = 0.6  # correlation coefficient of a candidate
+    explained_min: float = 0.955  # share of the picture's variance on the target that the prediction explains
+    fitting_min: float = 0.92  # share of the target's pixels that are no outliers
+    pixels_min: int = 60  # of the target
+    contrast_min: float = 10.0  # grey levels between light and dark
+    darkness_min: float = 0.6  # light less dark, in light: 0.94 for the data sheets' paint without any haze
+    alike_max: float = 0.65  # correlation of neighbouring residuals: of noise zero, at halved pictures 0.4
+    beside_max: float = 0.8  # correlation of what is beside the silhouette with what is within, row by row
+    blur_ratio_max: float = 2.6  # of the blur to the one that is expected, either way
+    range_sigma_max: float = 0.05  # share of the range
+    heading_sigma_max_rad: float = 0.3  # a heading that is known less well is none
+
+    def __post_init__(self):
+        for name in self.__slots__:
+            require_positive(**{name: getattr(self, name)})
+
+
+# Where only a part of the target is looked at, less speaks for it.
+PART_SETTINGS = HelixDetectorSettings(
+    explained_min=0.975, alike_max=0.6, blur_ratio_max=1.6, pixels_min=120, range_sigma_max=0.01
+)
+
+
+class HelixDetector:
+    """Detector of helix targets in the pictures of one camera."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        helix: Helix,
+        settings: HelixDetectorSettings | None = None,
+        part_settings: HelixDetectorSettings = PART_SETTINGS,
+    ):
+        self.camera, self.helix = camera, helix
+        self.settings, self.part_settings = settings or HelixDetectorSettings(), part_settings
+        self._search = HelixSearch(camera, helix, self.settings.farthest_m)
+
+    def detect(self, image: np.ndarray) -> Detection | None:
+        """The robot in a (H, W) uint8 picture, None without any. Raises BadInput for another size or type."""
+        require_picture(image, self.camera.lens)
+        pyramid = pyramid_of(image, self._search.levels)
+        candidates = self._search.candidates(pyramid, self.settings.candidates, self.settings.score_min)
+        sought = Sought(pyramid, self.camera, self.helix)
+        for candidate in candidates:
+            fit = fit_helix(sought, candidate)
+            if fit is not None and self.is_believed(fit, self.settings):
+                return self._detection(fit)
+        fits = [fit_helix(sought, candidate, part) for candidate in candidates[:1] for part in PARTS]
+        fits = [fit for fit in fits if fit is not None and self.is_believed(fit, self.part_settings)]
+        best = min(fits, key=alike_along, default=None)  # an edge of what hides it, taken for a silhouette, leaves more
+        return None if best is None else self._detection(best)
+
+    def is_believed(self, fit: HelixFit, limits: HelixDetectorSettings) -> bool:
+        """Whether a fit is the target."""
+        last, range_m = fit.last, float(np.hypot(*fit.state.axis))
+        on = last.shown.cover > 0.5
+        fitting = last.fitting[on]
+        if len(fitting) < limits.pixels_min or fitting.mean() < limits.fitting_min or range_m > limits.farthest_m:
+            return False
+        residual, grey = last.residual[on][fitting], fit.pixels.grey[on][fitting]
+        contrast, dark = float(np.median(last.contrast[on])), float(np.median(last.dark[on]))
+        noise = float(np.mean(residual**2))
+        return (
+            contrast > limits.contrast_min
+            and contrast > limits.darkness_min * (contrast + dark)
+            and noise < (1 - limits.explained_min) * float(np.var(grey))
+            and abs(fit.state.blur_log - first_blur_log(fit.level)) < np.log(limits.blur_ratio_max)
+            and fit.range_sigma_m < limits.range_sigma_max * range_m
+            and alike_along(fit) < limits.alike_max
+            and alike_across(fit) < limits.beside_max
+        )
+
+    def _detection(self, fit: HelixFit) -> Detection:
+        """The pose of the robot's reference point from that of the cylinder's axis."""
+        heading = wrap(fit.state.heading_rad)
+        offset = rotation(heading) @ [self.helix.forward_m, 0.0]
+        place = fit.state.axis + self.camera.mount.position_body[:2] - offset
+        by_fit = np.eye(3)
+        by_fit[:2, 2] = [offset[1], -offset[0]]
+        cov = by_fit @ fit.cov @ by_fit.T
+        known = bool(cov[2, 2] <= self.settings.heading_sigma_max_rad**2)
+        return Detection(Pose2(*place, heading), (cov + cov.T) / 2, known, self._outlines(fit.state.axis))
+
+    def _outlines(self, axis: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The ends of the pattern and its two silhouettes, for drawing."""
+        helix, away = self.helix, -axis / np.hypot(*axis)
+        limb = np.arccos(min(helix.radius_m / np.hypot(*axis), 1.0))
+        angles = np.arctan2(away[1], away[0]) + np.linspace(-limb, limb, 13)
+        arc = axis + helix.radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
+        heights = np.repeat([helix.bottom_m, helix.top_m], len(arc)) - self.camera.mount.height_m
+        points = np.column_stack([np.tile(arc, (2, 1)), heights]) @ self.camera.mount.R_body_camera
+        lens, zero = self.camera.lens, np.zeros(3)
+        pixels = cv2.projectPoints(points, zero, zero, lens.matrix, lens.distortion)[0].reshape(2, len(arc), 2)
+        lines = pixels[0], pixels[1], pixels[:, 0], pixels[:, -1]
+        return lines
+
+
+def alike_along(fit: HelixFit) -> float:
+    """Correlation of the residuals of neighbours in a row: what is left of a wrong pattern has a shape."""
+    whitened = fit.last.residual * np.sqrt(fit.last.weights)
+    same = fit.pixels.half[1:] == fit.pixels.half[:-1]
+    return float(np.sum((whitened[1:] * whitened[:-1])[same]) / max(np.sum((whitened**2)[1:][same]), 1e-9))
+
+
+def alike_across(fit: HelixFit) -> float:
+    """Correlation, over half rows, of the grey level beside the silhouette with the one within it: stripes go on."""
+    half, count, cover = fit.pixels.half, len(fit.pixels.starts), fit.last.shown.cover
+    means, known = [], np.ones(count, bool)
+    for mask in (cover < OUTSIDE, (cover > 1 - OUTSIDE) & (np.abs(fit.last.shown.sine) > NEAR_LIMB)):
+        pixels = np.bincount(half[mask], minlength=count)
+        means.append(np.bincount(half[mask], fit.pixels.grey[mask], count) / np.maximum(pixels, 1))
+        known &= pixels > 0
+    if not known.any():
+        return 0.0
+    beside, within = (each[known] - each[known].mean() for each in means)
+    spread = np.sqrt(np.mean(np.square(beside)) * np.mean(np.square(within)))
+    return float(np.mean(beside * within) / max(spread, FLAT_GREY**2))

@@ -1,0 +1,153 @@
+"""The pose of a helix target from every pixel of its mantle: predicted grey levels are fitted to the picture.
+
+Gauss-Newton finds the axis, the heading and the blur, first in a coarse picture, then in a fine one, with weights that
+fall for what the target cannot be (Huber 1981). The covariance is that of independent pixels, scaled by their
+residuals, and by what sandwiches (White 1980) exceed it: one with the pixels of half a row as a cluster, which share
+how the row lies to an edge; one with the two limbs and the two halves between them, which show when something beside
+the target pulls at it. The excesses are variances of different causes, so they add.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from tracker.camera import Camera
+from tracker.helix import Helix
+from tracker.helix_linear import Linearized, Noise, State, first_blur_log, linearized, noise_of
+from tracker.helix_model import Part, Pixels, select
+from tracker.helix_search import Candidate
+from tracker.sight import pyramid_noise, sight_of
+
+FINE_PX, COARSE_PX = 52.0, 26.0  # height of the pattern in the pictures that are fitted, at most
+FLOORS = (0.20, 0.07)  # sigmas of the first steps, of the contrast: what does not fit may only be displaced
+FIRST_GREY = 20.0  # sigma of the first residuals
+STEPS = 6
+CONVERGED = 0.4  # sigmas: what the next step changes is an order less
+LIMB_SINE = 0.85  # of the angle from the facing generator, from which on it is the silhouette that counts
+PLAUSIBLE = 0.4  # share of the variance that a coarse fit explains
+MARGIN_PX = 4  # around the target
+WHOLE = Part()
+
+
+class Sought(NamedTuple):
+    """A target in a picture."""
+
+    pyramid: list[np.ndarray]
+    camera: Camera
+    helix: Helix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HelixFit:
+    """A minimum of the photometric error."""
+
+    state: State
+    cov: np.ndarray  # (3, 3) of axis and heading
+    level: int  # of the pyramid
+    pixels: Pixels
+    last: Linearized  # one step before the state
+
+    @property
+    def range_sigma_m(self) -> float:
+        """Standard deviation of the distance from the camera."""
+        ahead = self.state.axis / np.hypot(*self.state.axis)
+        return float(np.sqrt(ahead @ self.cov[:2, :2] @ ahead))
+
+
+def fit_helix(sought: Sought, candidate: Candidate, part: Part = WHOLE) -> HelixFit | None:
+    """The minimum near a candidate, by a part of the target. None when there is none."""
+    camera, helix, levels = sought.camera, sought.helix, len(sought.pyramid)
+    away = candidate.axis - camera.mount.position_body[:2]
+    heading = float(np.arctan2(-away[1], -away[0])) - candidate.azimuth_rad
+    high_px = (helix.top_m - helix.bottom_m) / float(np.hypot(*away)) * camera.lens.fy_px
+    coarse, fine = (int(np.clip(np.ceil(np.log2(high_px / most)), 0, levels - 1)) for most in (COARSE_PX, FINE_PX))
+    state = State(away, heading, first_blur_log(coarse))
+    passes = ((coarse, FLOORS, len(FLOORS)), (fine, (), STEPS)) if coarse > fine else ((fine, FLOORS, STEPS),)
+    noise = Noise(FIRST_GREY**2, 0.0)
+    for level, floors, steps in passes:
+        pixels = pixels_of(sought, level, state.axis, part)
+        found = None if pixels is None else _descended(sought, pixels, level, state, noise, floors, steps)
+        if found is None or not _is_plausible(pixels, found[1]):
+            return None
+        state, last, noise = found
+        if level > fine:
+            state = state._replace(blur_log=first_blur_log(fine))
+    return HelixFit(state, _covariance(pixels, state, last, fine), fine, pixels, last)
+
+
+def pixels_of(sought: Sought, level: int, axis: np.ndarray, part: Part) -> Pixels | None:
+    """Pixels of a level that show a part of the target with its axis (2,) from the camera; None: too few."""
+    camera, helix, image = sought.camera, sought.helix, sought.pyramid[level]
+    ahead = axis / np.hypot(*axis)
+    aside = np.array([-ahead[1], ahead[0]])
+    around = axis + helix.radius_m * np.array([-ahead, aside - ahead, -aside - ahead, aside, -aside])
+    low, high = helix.bottom_m - helix.lower_collar_m, helix.top_m + helix.upper_collar_m
+    points = np.array([[*place, z - camera.mount.height_m] for z in (low, high) for place in around])
+    points = points @ camera.mount.R_body_camera
+    if points[:, 2].min() < helix.radius_m / 10:
+        return None
+    zero = np.zeros(3)
+    pixels = cv2.projectPoints(points, zero, zero, camera.lens.matrix, camera.lens.distortion)[0][:, 0] / 2**level
+    size = np.array(image.shape[::-1])
+    first = np.clip(np.floor(pixels.min(axis=0)) - MARGIN_PX, 0, size).astype(int)
+    last = np.clip(np.ceil(pixels.max(axis=0)) + MARGIN_PX + 1, 0, size).astype(int)
+    if (first >= last).any():
+        return None
+    box = slice(first[1], last[1]), slice(first[0], last[0])
+    return select(sight_of(camera, level), image, box, axis, helix, camera.mount.height_m, part)
+
+
+def _descended(sought: Sought, pixels: Pixels, level: int, state: State, noise: Noise, floors, steps: int):
+    """State, linearization and noise after Gauss-Newton; None when it leads astray."""
+    expected, distance = None, float(np.hypot(*state.axis))
+    for step in range(steps):
+        last = linearized(pixels, sought.helix, sought.camera.mount.height_m, state, noise, expected, level)
+        expected, noise = last.expected, noise_of(last)
+        if step < len(floors):
+            floor = (floors[step] * float(np.median(np.abs(last.contrast)))) ** 2
+            noise = Noise(max(noise.dark, floor), noise.slope)
+        try:
+            inverse = np.linalg.inv(last.normal)
+        except np.linalg.LinAlgError:
+            return None
+        change = inverse @ last.gradient
+        if not np.isfinite(change).all():
+            return None
+        small = np.abs(change[:3]) < CONVERGED * np.sqrt(np.abs(np.diag(inverse)[:3]))
+        change *= min(1.0, 0.06 * distance / np.hypot(*change[:2]), 0.5 / abs(change[2]), 0.4 / abs(change[3]))
+        state = State(state.axis + change[:2], state.heading_rad + change[2], state.blur_log + change[3])
+        if abs(np.hypot(*state.axis) - distance) > 0.3 * distance:
+            return None
+        if step > len(floors) and small.all():
+            break
+    return state, last, noise
+
+
+def _is_plausible(pixels: Pixels, last: Linearized) -> bool:
+    on = last.shown.cover > 0.5
+    if not on.any() or last.contrast[on].mean() < 0:
+        return False
+    return bool(last.residual[on].var() < (1 - PLAUSIBLE) * pixels.grey[on].var())
+
+
+def _covariance(pixels: Pixels, state: State, last: Linearized, level: int) -> np.ndarray:
+    """(3, 3) of axis and heading; stretched along and across the line of sight and in heading, each by its own."""
+    inverse, share = np.linalg.inv(last.normal), pyramid_noise(level)
+    squares = last.weights * last.residual**2
+    dof = len(squares) - 13 - 0.5 * len(pixels.starts)  # a half row's own level is seen by half of them
+    plain = inverse[:3, :3] * (max(float(squares.sum()) / dof, 0.5) * share)
+    ahead = state.axis / np.hypot(*state.axis)
+    sight = np.array([[*ahead, 0.0], [-ahead[1], ahead[0], 0.0], [0.0, 0.0, 1.0]])
+    expected = np.diag(sight @ plain @ sight.T)
+    pulls = last.jacobian * (last.weights * last.residual)
+    limb = np.abs(last.shown.sine) > LIMB_SINE
+    part = 2 * limb + np.where(limb, last.shown.sine > 0, pixels.row > 0)
+    by_row = sight @ (inverse @ np.add.reduceat(pulls, pixels.starts, axis=1))[:3]
+    by_part = sight @ (inverse @ (pulls @ (part[:, None] == np.arange(4))))[:3]
+    ratios = np.sum(by_row**2, axis=1) * np.sqrt(share) / expected, np.sum(by_part**2, axis=1) / expected
+    stretch = np.sqrt(1 + sum(np.maximum(ratio - 1, 0.0) for ratio in ratios))
+    turn = sight.T @ (stretch[:, None] * sight)
+    cov = turn @ plain @ turn.T
+    return (cov + cov.T) / 2

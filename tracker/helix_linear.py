@@ -1,0 +1,164 @@
+"""The picture about a pose of a helix target: what every pixel of its mantle says of the pose, all else eliminated.
+
+Lambert's law makes the light on the mantle a function of the normal alone: 1, sin and cos of the angle from the facing
+generator, and two more terms where a part of it lies in its own shade. What is beside the silhouette is unknown: one
+grey level for each half of each row. Both enter linearly and are eliminated (variable projection: Golub and Pereyra
+1973, Kaufman 1975).
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from tracker.helix import Helix
+from tracker.helix_model import Pixels, Shown, shown
+from tracker.sight import usual_blur
+
+BLUR_SIGMA = 0.4  # of the logarithm of the blur, before it is seen
+HUBER = 3.0  # sigmas; beyond, weights fall with the square
+LEAST_VARIANCE = 1 / 12  # of a grey level: it is rounded
+QUANTILE, QUANTILE_SIGMAS = 0.25, 0.31864  # of a normal distribution's absolute values
+LEAST_PIXELS = 20
+BESIDE_SIGMA = 100.0  # grey levels: what is beside the target
+UNEVEN = 12.0  # what is beside a half row varies by more than is left after its mean is taken
+LEVELS = 9  # linear parameters of the light
+
+
+class State(NamedTuple):
+    """What is searched for."""
+
+    axis: np.ndarray  # (2,) of the cylinder from the camera, in the observer's axes, m
+    heading_rad: float
+    blur_log: float  # of the sigma of all blur, the pixel's square included, in pixels of the level
+
+
+class Noise(NamedTuple):
+    """Variance of a pixel in darkness, and how much more for each grey level."""
+
+    dark: float
+    slope: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearized:
+    """The picture about a state."""
+
+    normal: np.ndarray  # (4, 4) information of axis, heading, logarithm of the blur
+    gradient: np.ndarray  # (4,)
+    residual: np.ndarray  # (N,) grey levels
+    expected: np.ndarray  # (N,)
+    weights: np.ndarray  # (N,) of squares
+    jacobian: np.ndarray  # (4, N)
+    contrast: np.ndarray  # (N,) light less dark
+    dark: np.ndarray  # (N,) grey level of what is dark
+    fitting: np.ndarray  # (N,) whether a pixel is no outlier
+    shown: Shown
+
+
+def first_blur_log(level: int) -> float:
+    """Logarithm of the sigma of all blur at a level of the pyramid, in its pixels, before it is seen."""
+    return 0.5 * float(np.log(usual_blur(level)))
+
+
+def linearized(
+    pixels: Pixels, helix: Helix, camera_height_m: float, state: State, noise: Noise, expected, level: int
+) -> Linearized:
+    """expected: (N,) grey levels of the state before, for the weights; or None."""
+    s = shown(pixels, helix, camera_height_m, state.axis, state.heading_rad, float(np.exp(state.blur_log)))
+    share, count = np.float32(helix.dark / helix.light), len(s.light)
+    within = s.cover * (1 - s.below - s.above)
+    lightness = share + (1 - share) * s.light
+    lit = within * lightness
+    columns = np.empty((11, count), np.float32)
+    columns[0] = lit
+    np.multiply(lit, s.sine, out=columns[1])
+    np.multiply(lit, s.cosine, out=columns[2])
+    np.multiply(columns[1], s.cosine, out=columns[3])
+    np.multiply(columns[1], s.sine, out=columns[4])
+    np.multiply(lit, pixels.row, out=columns[5])
+    columns[6] = within * (1 - s.light)
+    columns[7] = s.cover * s.below
+    columns[8] = s.cover * s.above
+    columns[9] = pixels.grey
+    beside = columns[10] = 1 - s.cover
+    if expected is None:
+        weights, fitting = np.full(count, 1 / noise.dark, np.float32), np.ones(count, bool)
+    else:
+        variance = noise.dark + noise.slope * np.maximum(expected, 0)
+        off, outside = np.square(pixels.grey - expected), np.square(beside)
+        uneven = np.add.reduceat(outside * (off - variance), pixels.starts)
+        uneven /= np.add.reduceat(outside, pixels.starts) + 1e-3
+        variance = variance + outside * np.take(UNEVEN * np.maximum(uneven, 0.0), pixels.half)
+        pull = off / variance
+        weights, fitting = np.minimum(1.0, HUBER**2 / np.maximum(pull, 1e-9)) / variance, pull < HUBER**2
+    heavy = weights * beside
+    sums = np.add.reduceat(columns * heavy, pixels.starts, axis=1)
+    least = sums[10] + 1 / BESIDE_SIGMA**2
+    sums /= least
+    free = columns[:10] - np.take(sums[:10], pixels.half, axis=1) * beside
+    weighted = free[:9] * weights
+    gram = (weighted @ free.T).astype(float)
+    moment, gram = gram[:, 9], gram[:, :9]
+    gram[range(9), range(9)] *= 1 + 1e-5
+    gram[range(9), range(9)] += 1e-3
+    inverse = np.linalg.inv(gram)
+    levels = (inverse @ moment).astype(np.float32)
+    residual = free[9] - levels @ free[:9]
+    beside_grey = (sums[9] - levels @ sums[:9])[pixels.half]
+    sunlit = levels[0] + levels[1] * s.sine + s.cosine * (levels[2] + levels[3] * s.sine)
+    sunlit += levels[4] * s.sine * s.sine + levels[5] * pixels.row
+    contrast = sunlit * (1 - share) - levels[6]
+    target = levels[:9] @ columns[:9]  # already times cover
+    excess = target / np.maximum(s.cover, 1e-6) - beside_grey
+    jacobian = _jacobian(pixels, helix, s, levels, within, lightness, contrast, excess)
+    sums_by = np.add.reduceat(jacobian * heavy, pixels.starts, axis=1) / least
+    jacobian -= np.take(sums_by, pixels.half, axis=1) * beside
+    jacobian -= ((jacobian @ weighted.T) @ inverse.astype(np.float32)) @ free[:9]
+    heavy = jacobian * weights
+    normal, gradient = (heavy @ jacobian.T).astype(float), (heavy @ residual).astype(float)
+    normal[3, 3] += BLUR_SIGMA**-2
+    gradient[3] += (first_blur_log(level) - state.blur_log) / BLUR_SIGMA**2
+    return Linearized(
+        normal, gradient, residual, pixels.grey - residual, weights, jacobian, contrast, sunlit - contrast, fitting, s
+    )
+
+
+def _jacobian(pixels: Pixels, helix: Helix, s: Shown, levels, within, lightness, contrast, excess) -> np.ndarray:
+    """(4, N) derivative of the expected grey levels by the axis, the heading and the logarithm of the blur."""
+    radius, slope = np.float32(helix.radius_m), np.float32(helix.pitch_m / (2 * np.pi))
+    gain = within * contrast
+    ahead = gain * (s.by_height + s.by_screw) * pixels.climb
+    screw = gain * s.by_screw * slope
+    bend = levels[1] - levels[2] * s.tangent + levels[3] * (s.cosine - s.sine * s.tangent)
+    bend += 2 * levels[4] * s.sine
+    aside = s.moves * (ahead * s.tangent - screw * s.turning + within * lightness * bend / radius)
+    aside += s.cover_by_aside * excess
+    jacobian = np.empty((4, len(ahead)), np.float32)
+    jacobian[0] = ahead * pixels.forward - aside * pixels.left
+    jacobian[1] = ahead * pixels.left + aside * pixels.forward
+    jacobian[2] = screw
+    jacobian[3] = gain * s.by_blur + s.cover_by_blur * excess
+    return jacobian
+
+
+def noise_of(last: Linearized) -> Noise:
+    """Robust variance of the residuals, of the darker and of the brighter half: by their lower quantiles, because
+    something may hide a part of the target."""
+    size = np.abs(last.residual)
+    middle = (last.expected.min() + last.expected.max()) / 2
+    bright = last.expected > middle
+    found = []
+    for side in (bright, ~bright):
+        own = size[side]
+        if len(own) < LEAST_PIXELS:
+            return Noise(max(_quantile_variance(size), LEAST_VARIANCE), 0.0)
+        found.append((_quantile_variance(own), float(last.expected[side].mean())))
+    (high, light), (low, dark) = found
+    slope = max(high - low, 0.0) / max(light - dark, 1.0)
+    return Noise(max(low - slope * dark, 0.3 * low, LEAST_VARIANCE), slope)
+
+
+def _quantile_variance(size: np.ndarray) -> float:
+    place = int(QUANTILE * len(size))
+    return float(np.partition(size, place)[place] / QUANTILE_SIGMAS) ** 2
