@@ -31,6 +31,7 @@ ROOM_SHARE = 0.7  # of the way to the next edge that is fitted
 STEPS = 5  # of Gauss-Newton
 BLUR_PX, BLUR_SIGMA = 0.9, 0.5  # of an edge, and the sigma of its logarithm, before it is seen
 LEAST_GREY_SIGMA = 0.3  # of a sample: rounding, 1 / sqrt(12)
+INTERPOLATED = 4 / 9  # variance that bilinear interpolation leaves of a pixel's, on average over where it is: (2/3)^2
 STEP_SIGMAS = 6.0  # a step that is lower than so many sigmas of the noise is none
 
 
@@ -221,7 +222,7 @@ def _fitted(grey, used, s, start, step):
     """Gauss-Newton on level, height, offset and the logarithm of the blur of N profiles at once.
 
     Returns (N,) offsets, sigmas, heights of the steps, sigmas of a sample. The variance counts independent pixels:
-    samples that are nearer than a pixel share their noise.
+    samples that are nearer than a pixel share their noise, and interpolation has smoothed it away in part.
     """
     weights = used.astype(float)
     count = np.maximum(weights.sum(axis=1), 1.0)
@@ -247,4 +248,4 @@ def _fitted(grey, used, s, start, step):
         level, height = level + change[:, 0], height + change[:, 1]
         offset = offset + np.clip(change[:, 2], -1.0, 1.0)
         log_blur = np.clip(log_blur + np.clip(change[:, 3], -0.5, 0.5), np.log(0.3), np.log(4.0))
-    return offset, np.sqrt(inverse[:, 2, 2]), height, np.sqrt(variance)
+    return offset, np.sqrt(inverse[:, 2, 2] / INTERPOLATED), height, np.sqrt(variance)

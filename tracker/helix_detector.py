@@ -19,11 +19,13 @@ from tracker.helix_fit import HelixFit, Sought, fit_helix
 from tracker.helix_linear import first_blur_log
 from tracker.helix_model import Part
 from tracker.helix_search import HelixSearch
-from tracker.sight import pyramid_of
+from tracker.pyramid import pyramid_of
 
 OUTSIDE = 0.2  # share of a pixel within the silhouette, at most, that counts as beside it
 NEAR_LIMB = 0.6  # sine of the angle from the facing generator, from which on a pixel is near the silhouette
-PARTS = Part(left=-0.15), Part(right=0.15), Part(lower=0.45), Part(upper=0.55)  # when something hides the rest
+# What is looked at when something hides the rest.
+PARTS = Part(left=-0.15), Part(right=0.15), Part(lower=0.42), Part(upper=0.58)
+NOTHING = 0.01  # share of the variance that no pattern but the right one leaves, whatever its shape
 FLAT_GREY = 4.0  # sigma below which what is beside is flat
 
 
@@ -52,7 +54,12 @@ class HelixDetectorSettings:
 
 # Where only a part of the target is looked at, less speaks for it.
 PART_SETTINGS = HelixDetectorSettings(
-    explained_min=0.975, alike_max=0.6, blur_ratio_max=1.6, pixels_min=120, range_sigma_max=0.01
+    explained_min=0.975,
+    alike_max=0.6,
+    blur_ratio_max=1.6,
+    pixels_min=120,
+    range_sigma_max=0.01,
+    heading_sigma_max_rad=0.06,
 )
 
 
@@ -81,7 +88,8 @@ class HelixDetector:
             if fit is not None and self.is_believed(fit, self.settings):
                 return self._detection(fit)
         fits = [fit_helix(sought, candidate, part) for candidate in candidates[:1] for part in PARTS]
-        fits = [fit for fit in fits if fit is not None and self.is_believed(fit, self.part_settings)]
+        limits = self.part_settings
+        fits = [fit for fit in fits if fit is not None and self.is_believed(fit, limits) and _is_turned(fit, limits)]
         best = min(fits, key=alike_along, default=None)  # an edge of what hides it, taken for a silhouette, leaves more
         return None if best is None else self._detection(best)
 
@@ -94,14 +102,14 @@ class HelixDetector:
             return False
         residual, grey = last.residual[on][fitting], fit.pixels.grey[on][fitting]
         contrast, dark = float(np.median(last.contrast[on])), float(np.median(last.dark[on]))
-        noise = float(np.mean(residual**2))
+        missed = float(np.mean(residual**2)) / max(float(np.var(grey)), 1e-9)
         return (
             contrast > limits.contrast_min
             and contrast > limits.darkness_min * (contrast + dark)
-            and noise < (1 - limits.explained_min) * float(np.var(grey))
+            and missed < 1 - limits.explained_min
             and abs(fit.state.blur_log - first_blur_log(fit.level)) < np.log(limits.blur_ratio_max)
             and fit.range_sigma_m < limits.range_sigma_max * range_m
-            and alike_along(fit) < limits.alike_max
+            and (missed < NOTHING or alike_along(fit) < limits.alike_max)
             and alike_across(fit) < limits.beside_max
         )
 
@@ -113,7 +121,7 @@ class HelixDetector:
         by_fit = np.eye(3)
         by_fit[:2, 2] = [offset[1], -offset[0]]
         cov = by_fit @ fit.cov @ by_fit.T
-        known = bool(cov[2, 2] <= self.settings.heading_sigma_max_rad**2)
+        known = _is_turned(fit, self.settings)
         return Detection(Pose2(*place, heading), (cov + cov.T) / 2, known, self._outlines(fit.state.axis))
 
     def _outlines(self, axis: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -128,6 +136,11 @@ class HelixDetector:
         pixels = cv2.projectPoints(points, zero, zero, lens.matrix, lens.distortion)[0].reshape(2, len(arc), 2)
         lines = pixels[0], pixels[1], pixels[:, 0], pixels[:, -1]
         return lines
+
+
+def _is_turned(fit: HelixFit, limits: HelixDetectorSettings) -> bool:
+    """Whether the fit knows the heading."""
+    return bool(fit.cov[2, 2] <= limits.heading_sigma_max_rad**2)
 
 
 def alike_along(fit: HelixFit) -> float:

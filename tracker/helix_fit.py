@@ -16,19 +16,23 @@ import numpy as np
 from tracker.camera import Camera
 from tracker.helix import Helix
 from tracker.helix_linear import Linearized, Noise, State, first_blur_log, linearized, noise_of
-from tracker.helix_model import Part, Pixels, select
+from tracker.helix_model import WHOLE, Part, Pixels, select
 from tracker.helix_search import Candidate
-from tracker.sight import pyramid_noise, sight_of
+from tracker.pyramid import pyramid_noise, sight_of
 
-FINE_PX, COARSE_PX = 52.0, 26.0  # height of the pattern in the pictures that are fitted, at most
+FINE_PX, COARSE_PX = 44.0, 22.0  # height of the pattern in the pictures that are fitted, at most
 FLOORS = (0.20, 0.07)  # sigmas of the first steps, of the contrast: what does not fit may only be displaced
 FIRST_GREY = 20.0  # sigma of the first residuals
 STEPS = 6
-CONVERGED = 0.4  # sigmas: what the next step changes is an order less
+CONVERGED = 1.0  # sigma of independent pixels: the step is still taken, and what the next would change is far less
+COVERS = np.array([0.02, 0.16, 0.5, 0.84, 0.98])  # shares of a pixel within the silhouette: one sigma of blur apart
+SINES = 8  # steps from the facing generator to the limb
 LIMB_SINE = 0.85  # of the angle from the facing generator, from which on it is the silhouette that counts
-PLAUSIBLE = 0.4  # share of the variance that a coarse fit explains
+PLAUSIBLE = 0.6  # share of the variance that a coarse fit explains
+DARKNESS = 0.7  # light less dark, in dark, at least
 MARGIN_PX = 4  # around the target
-WHOLE = Part()
+PARAMETERS = 13  # that are fitted, those of the light included
+ROW_PARAMETERS, COLUMN_PARAMETERS = 8, 9  # of them, that rows and that columns tell apart (MacKinnon and White 1985)
 
 
 class Sought(NamedTuple):
@@ -127,7 +131,7 @@ def _descended(sought: Sought, pixels: Pixels, level: int, state: State, noise: 
 
 def _is_plausible(pixels: Pixels, last: Linearized) -> bool:
     on = last.shown.cover > 0.5
-    if not on.any() or last.contrast[on].mean() < 0:
+    if not on.any() or last.contrast[on].mean() < max(last.dark[on].mean(), 0.0) * DARKNESS:
         return False
     return bool(last.residual[on].var() < (1 - PLAUSIBLE) * pixels.grey[on].var())
 
@@ -136,7 +140,7 @@ def _covariance(pixels: Pixels, state: State, last: Linearized, level: int) -> n
     """(3, 3) of axis and heading; stretched along and across the line of sight and in heading, each by its own."""
     inverse, share = np.linalg.inv(last.normal), pyramid_noise(level)
     squares = last.weights * last.residual**2
-    dof = len(squares) - 13 - 0.5 * len(pixels.starts)  # a half row's own level is seen by half of them
+    dof = len(squares) - PARAMETERS - 0.5 * len(pixels.starts)  # a half row's own level is seen by half of them
     plain = inverse[:3, :3] * (max(float(squares.sum()) / dof, 0.5) * share)
     ahead = state.axis / np.hypot(*state.axis)
     sight = np.array([[*ahead, 0.0], [-ahead[1], ahead[0], 0.0], [0.0, 0.0, 1.0]])
@@ -144,9 +148,18 @@ def _covariance(pixels: Pixels, state: State, last: Linearized, level: int) -> n
     pulls = last.jacobian * (last.weights * last.residual)
     limb = np.abs(last.shown.sine) > LIMB_SINE
     part = 2 * limb + np.where(limb, last.shown.sine > 0, pixels.row > 0)
-    by_row = sight @ (inverse @ np.add.reduceat(pulls, pixels.starts, axis=1))[:3]
-    by_part = sight @ (inverse @ (pulls @ (part[:, None] == np.arange(4))))[:3]
-    ratios = np.sum(by_row**2, axis=1) * np.sqrt(share) / expected, np.sum(by_part**2, axis=1) / expected
+    shown, count = last.shown, len(COVERS) + SINES + 1
+    column = np.where(
+        shown.cover < COVERS[-1], np.searchsorted(COVERS, shown.cover), len(COVERS) + np.abs(shown.sine) * SINES
+    )
+    column = column.astype(int) + count * (shown.sine > 0)
+    by_row = np.add.reduceat(pulls, pixels.starts, axis=1) * share**0.25
+    by_column = np.stack([np.bincount(column, pull, 2 * count) for pull in pulls]) * share**0.25
+    by_part = pulls @ (part[:, None] == np.arange(4))
+    ratios = []
+    for sums, lost in ((by_row, ROW_PARAMETERS), (by_column, COLUMN_PARAMETERS), (by_part, 0)):
+        few = sums.shape[1] / max(sums.shape[1] - lost, lost, 1)
+        ratios.append(few * np.sum((sight @ (inverse @ sums)[:3]) ** 2, axis=1) / expected)
     stretch = np.sqrt(1 + sum(np.maximum(ratio - 1, 0.0) for ratio in ratios))
     turn = sight.T @ (stretch[:, None] * sight)
     cov = turn @ plain @ turn.T

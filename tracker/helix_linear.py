@@ -13,7 +13,7 @@ import numpy as np
 
 from tracker.helix import Helix
 from tracker.helix_model import Pixels, Shown, shown
-from tracker.sight import usual_blur
+from tracker.pyramid import usual_blur
 
 BLUR_SIGMA = 0.4  # of the logarithm of the blur, before it is seen
 HUBER = 3.0  # sigmas; beyond, weights fall with the square
@@ -21,7 +21,7 @@ LEAST_VARIANCE = 1 / 12  # of a grey level: it is rounded
 QUANTILE, QUANTILE_SIGMAS = 0.25, 0.31864  # of a normal distribution's absolute values
 LEAST_PIXELS = 20
 BESIDE_SIGMA = 100.0  # grey levels: what is beside the target
-UNEVEN = 12.0  # what is beside a half row varies by more than is left after its mean is taken
+UNEVEN = 8.0  # what is beside a half row varies by more than is left after its mean is taken
 LEVELS = 9  # linear parameters of the light
 
 

@@ -16,12 +16,12 @@ import numpy as np
 from scipy.special import ndtr
 
 from tracker.helix import Helix
-from tracker.sight import Sight
+from tracker.pyramid import Sight
 from tracker.smear import ROOT, smeared_step
 
 FARTHEST = -4.0  # sigmas outside the silhouette; what is farther is as if it were there
 LEAST_DEPTH = 0.03  # of the blur: at the limb itself everything changes at an infinite rate
-BESIDE_PX = 3.5  # pixels beyond the limb that still matter
+BESIDE_PX = 2.8  # pixels beyond the limb that still matter
 BEYOND_PX = 0.6  # pixels beyond the ends of the collars that are looked at
 
 
@@ -70,6 +70,9 @@ class Part(NamedTuple):
     upper: float = np.inf  # to that
 
 
+WHOLE = Part()
+
+
 def select(
     sight: Sight, image: np.ndarray, box, axis: np.ndarray, helix: Helix, camera_height_m: float, part: Part
 ) -> Pixels | None:
@@ -86,10 +89,10 @@ def select(
     step = BEYOND_PX * distance * np.sqrt(sight.climb_sq[box])
     low, high = helix.bottom_m - helix.lower_collar_m, helix.top_m + helix.upper_collar_m
     used = (off < helix.radius_m + BESIDE_PX * pixel_m) & (height > low - step) & (height < high + step) & (ahead > 0)
-    if part != Part():
+    if part != WHOLE:
         used &= (aside > part.left * helix.radius_m) & (aside < part.right * helix.radius_m)
         used &= (height > low + part.lower * (high - low)) & (height < low + part.upper * (high - low))
-    if part != Part():
+    if part != WHOLE:
         used &= (aside > part.left * helix.radius_m) & (aside < part.right * helix.radius_m)
         used &= (height > low + part.lower * (high - low)) & (height < low + part.upper * (high - low))
     place = np.flatnonzero(used)

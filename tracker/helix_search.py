@@ -17,7 +17,7 @@ from tracker.helix import Helix
 
 NEAREST_RADII = 3.5  # nearest distance that is looked at, in radii of the target
 DISTANCE_RATIO = 1.08  # between neighbours; moves the pattern's ends by half a ring at most
-SAMPLES = 15  # of a generator
+SAMPLES = 12  # of a generator
 PHASES = 9  # of one stripe: 40 degrees
 BEARING_STEP = float(np.sin(2 * np.pi / PHASES))  # between neighbours, in radii of the target: as much on the cylinder
 RING_PX = 4.5  # height of a ring above which a coarser picture will do
@@ -57,13 +57,21 @@ class HelixSearch:
         self.helix, self.camera = helix, camera
         self.middle = _middles(camera, helix, places)
 
-    def candidates(self, pyramid: list[np.ndarray], most: int, score_min: float) -> list[Candidate]:
-        """The best places, best first. pyramid: the picture, and each time half of it."""
-        grey = [
+    def sampled(self, pyramid: list[np.ndarray]) -> np.ndarray:
+        """(SAMPLES, P) grey levels on the generators of all places, from below. pyramid: see pyramid_of."""
+        layers = [
             cv2.remap(pyramid[layer.level], *layer.maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             for layer in self.layers
         ]
-        grey = np.concatenate(grey, axis=1).astype(np.float32)
+        return np.concatenate(layers, axis=1).astype(np.float32)
+
+    def candidates(self, pyramid: list[np.ndarray], most: int, score_min: float) -> list[Candidate]:
+        """The best places, best first. pyramid: as of pyramid_of, with `levels` levels."""
+        layers = [
+            cv2.remap(pyramid[layer.level], *layer.maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            for layer in self.layers
+        ]
+        grey = np.concatenate(layers, axis=1).astype(np.float32)
         grey -= grey.mean(axis=0)
         norm = np.sqrt(np.einsum("sp,sp->p", grey, grey) + SAMPLES * FLAT_GREY**2)
         alike = (self.templates @ grey) / norm  # (PHASES, P)
