@@ -9,11 +9,11 @@ from math import nan
 import numpy as np
 from _aruco_pose import ArucoPose
 from _scenes import RANGES_M, SIZES, Scene, random_scene, sheet_of
-from tracker.detectors import make_detector
 
 from coopslam.se2 import Pose2, wrap, xytheta
 from tracker.data_sheet import DataSheet
 from tracker.detector import Detection
+from tracker.detectors import make_detector
 from tracker.information import pose_bound, sighting_sigmas
 
 POSITION, POSE = 2, 3  # degrees of freedom

@@ -29,8 +29,8 @@ from _scenes import (
     random_sensor,
     sheet_of,
 )
-from tracker.detectors import make_detector
 
+from tracker.detectors import make_detector
 from tracker.render import RenderSettings, render_background
 
 REFERENCE = "aruco none"
