@@ -51,7 +51,7 @@ def test_another_world_is_none():
     assert {answer.verdict for answer in awake.answers} == {Verdict.NONE}
 
 
-@pytest.mark.parametrize("corner", [2, 25])
+@pytest.mark.parametrize("corner", [pytest.param(2, marks=pytest.mark.slow), 25])
 def test_in_a_map_that_ended_early(corner):
     """Outside of what is known nothing is recognized; when the team comes to it, the right corners are."""
     world, old = load_world("rooms_with_doors"), run("rooms_with_doors", "typical", seed=13, budget=Budget(moves=40))

@@ -167,6 +167,7 @@ def test_a_team_with_eyes_explores(tmp_path):
     assert summary["tracker"]["range_error_rms_m"] < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not HOUSE.is_file(), reason="needs a world that is not in the repository")
 def test_a_team_with_eyes_explores_a_house(tmp_path):
     assert call("--world", HOUSE, "--tracker", "helix", "--figures", "none", "--out", tmp_path / "run") == 0

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from coopslam.errors import require_positive
-from coopslam.se2 import Pose2, rotation, wrap
+from coopslam.se2 import Pose2, rotation, wrap, xytheta
 from tracker.camera import Camera
 from tracker.detector import Detection, require_picture
 from tracker.helix import Helix
@@ -25,6 +25,7 @@ OUTSIDE = 0.2  # share of a pixel within the silhouette, at most, that counts as
 NEAR_LIMB = 0.6  # sine of the angle from the facing generator, from which on a pixel is near the silhouette
 # What is looked at when something hides the rest.
 PARTS = Part(left=-0.15), Part(right=0.15), Part(lower=0.42), Part(upper=0.58)
+CONTRADICTION = 30.0  # squared Mahalanobis distance of two fits, of three degrees of freedom: one in a million
 NOTHING = 0.01  # share of the variance that no pattern but the right one leaves, whatever its shape
 FLAT_GREY = 4.0  # sigma below which what is beside is flat
 
@@ -38,11 +39,11 @@ class HelixDetectorSettings:
     score_min: float = 0.6  # correlation coefficient of a candidate
     explained_min: float = 0.955  # share of the picture's variance on the target that the prediction explains
     fitting_min: float = 0.92  # share of the target's pixels that are no outliers
-    pixels_min: int = 60  # of the target
+    pixels_min: int = 150  # of the target; what few of them show may be chance
     contrast_min: float = 10.0  # grey levels between light and dark
-    darkness_min: float = 0.6  # light less dark, in light: 0.94 for the data sheets' paint without any haze
+    darkness_min: float = 0.68  # light less dark, in light: 0.94 for the data sheets' paint without any haze
     alike_max: float = 0.65  # correlation of neighbouring residuals: of noise zero, at halved pictures 0.4
-    beside_max: float = 0.8  # correlation of what is beside the silhouette with what is within, row by row
+    beside_max: float = 0.65  # correlation of what is beside the silhouette with what is within, row by row
     blur_ratio_max: float = 2.6  # of the blur to the one that is expected, either way
     range_sigma_max: float = 0.05  # share of the range
     heading_sigma_max_rad: float = 0.3  # a heading that is known less well is none
@@ -57,7 +58,6 @@ PART_SETTINGS = HelixDetectorSettings(
     explained_min=0.975,
     alike_max=0.6,
     blur_ratio_max=1.6,
-    pixels_min=120,
     range_sigma_max=0.01,
     heading_sigma_max_rad=0.06,
 )
@@ -90,8 +90,7 @@ class HelixDetector:
         fits = [fit_helix(sought, candidate, part) for candidate in candidates[:1] for part in PARTS]
         limits = self.part_settings
         fits = [fit for fit in fits if fit is not None and self.is_believed(fit, limits) and _is_turned(fit, limits)]
-        best = min(fits, key=alike_along, default=None)  # an edge of what hides it, taken for a silhouette, leaves more
-        return None if best is None else self._detection(best)
+        return self._agreed(fits) if fits else None
 
     def is_believed(self, fit: HelixFit, limits: HelixDetectorSettings) -> bool:
         """Whether a fit is the target."""
@@ -112,6 +111,22 @@ class HelixDetector:
             and (missed < NOTHING or alike_along(fit) < limits.alike_max)
             and alike_across(fit) < limits.beside_max
         )
+
+    def _agreed(self, fits: list[HelixFit]) -> Detection:
+        """The fit that leaves least shape, of fits to different parts. An edge of what hides the target may be taken
+        for a silhouette: where fits contradict each other the heading is open, and the covariance is over them all."""
+        found = [self._detection(fit) for fit in sorted(fits, key=alike_along)]
+        best = found[0]
+        away = [_between(best.T_observer_target, other.T_observer_target) for other in found]
+        covs = [best.cov_observer + other.cov_observer for other in found]
+        off = np.array([each @ np.linalg.solve(cov, each) for each, cov in zip(away, covs, strict=True)])
+        if (off < CONTRADICTION).all():
+            return best
+        away = np.array(away)
+        apart = away - away.mean(axis=0)
+        cov = (sum(each.cov_observer for each in found) + apart.T @ apart) / len(found)
+        mean = xytheta(best.T_observer_target) + away.mean(axis=0)
+        return Detection(Pose2(*mean), (cov + cov.T) / 2, False, best.features_px)
 
     def _detection(self, fit: HelixFit) -> Detection:
         """The pose of the robot's reference point from that of the cylinder's axis."""
@@ -136,6 +151,12 @@ class HelixDetector:
         pixels = cv2.projectPoints(points, zero, zero, lens.matrix, lens.distortion)[0].reshape(2, len(arc), 2)
         lines = pixels[0], pixels[1], pixels[:, 0], pixels[:, -1]
         return lines
+
+
+def _between(one: Pose2, other: Pose2) -> np.ndarray:
+    """(3,) x, y, theta from one pose to another, in the axes of both's frame."""
+    x, y, theta = xytheta(other) - xytheta(one)
+    return np.array([x, y, wrap(theta)])
 
 
 def _is_turned(fit: HelixFit, limits: HelixDetectorSettings) -> bool:

@@ -3,8 +3,9 @@
 Gauss-Newton finds the axis, the heading and the blur, first in a coarse picture, then in a fine one, with weights that
 fall for what the target cannot be (Huber 1981). The covariance is that of independent pixels, scaled by their
 residuals, and by what sandwiches (White 1980) exceed it: one with the pixels of half a row as a cluster, which share
-how the row lies to an edge; one with the two limbs and the two halves between them, which show when something beside
-the target pulls at it. The excesses are variances of different causes, so they add.
+how the row lies to an edge; one with columns as clusters, which share how they lie to the silhouette and to the light;
+one with the two limbs and the two halves between them, which show when something beside the target pulls at it. The
+excesses are variances of different causes, so they add.
 """
 
 from dataclasses import dataclass
