@@ -57,8 +57,8 @@ def edge_information(sensor: Sensor, camera: Camera = CAMERA) -> np.ndarray | No
 
 
 def gaussian_kernel(sigma_px: float) -> np.ndarray:
-    taps = norm.pdf(np.arange(-12, 13) / sigma_px)
-    return taps / taps.sum()
+    """Share of a blurred line's light that pixels get; the line lies in the middle of one."""
+    return np.diff(norm.cdf((np.arange(-12, 14) - 0.5) / sigma_px))
 
 
 @pytest.mark.parametrize("sigma_px", [0.6, 1.5])
@@ -66,9 +66,11 @@ def test_a_straight_edge_that_is_blurred(sigma_px):
     """var = sigma^2 / sum(gradient^2): a column of pixels changes by contrast * kernel when the edge moves by a pixel.
 
     Of the nuisances only the mean level takes something away, 1 / width: the edge lies in the middle of a pixel, so
-    that what blur and contrast change is odd about it, and the gradient is even.
+    that what blur and contrast change is odd about it, and the gradient is even. It lies between two cells, a quarter
+    of a pixel from the middle of either: what moves over it is shared by both.
     """
-    gradient_sq = (100.0 * (LIGHT - DARK)) ** 2 * (np.sum(gaussian_kernel(sigma_px) ** 2) - 1 / WIDTH)
+    kernel = gaussian_kernel(np.sqrt(sigma_px**2 + 1 / 16))
+    gradient_sq = (100.0 * (LIGHT - DARK)) ** 2 * (np.sum(kernel**2) - 1 / WIDTH)
     expected = (FOCAL / BOARD_M) ** 2 * HEIGHT * gradient_sq / VARIANCE
     information = edge_information(replace(READ, defocus_px=sigma_px))
     assert information[1, 1] == pytest.approx(expected, rel=0.02)  # edges are rendered true to 1 % of the step
@@ -77,11 +79,10 @@ def test_a_straight_edge_that_is_blurred(sigma_px):
 
 
 def test_the_same_edge_by_the_formula_of_a_continuous_blur():
-    """sum(gradient^2) = contrast^2 / (2 sqrt(pi) s), the integral of a squared Gaussian; s of 2 pixels is smooth.
-
-    Tolerance as above.
+    """sum(gradient^2) = contrast^2 / (2 sqrt(pi) s), the integral of a squared Gaussian; a defocus of 2 pixels is smooth,
+    and the pixel's own width adds 1 / 12 to its variance. Tolerance as above.
     """
-    gradient_sq = (100.0 * (LIGHT - DARK)) ** 2 * (1 / (2 * np.sqrt(pi) * 2.0) - 1 / WIDTH)
+    gradient_sq = (100.0 * (LIGHT - DARK)) ** 2 * (1 / (2 * np.sqrt(pi * (4 + 1 / 12))) - 1 / WIDTH)
     expected = (FOCAL / BOARD_M) ** 2 * HEIGHT * gradient_sq / VARIANCE
     assert edge_information(replace(READ, defocus_px=2.0))[1, 1] == pytest.approx(expected, rel=0.02)
 
@@ -110,7 +111,7 @@ def test_nuisances_as_in_a_regression_line():
 def test_the_variance_of_pixels_is_that_of_the_sensor(black_level, radiance):
     """A flat picture of 40 000 pixels: its sample variance is known to 0.7 % (one sigma)."""
     sensor = Sensor(230.0, black_level, 12.0, 9.0, vignetting=0.0, defocus_px=0.0)
-    flat = np.full((200, 200), radiance, np.float32)
+    flat = np.full((400, 400), radiance, np.float32)
     picture = sensor.picture(flat, np.random.default_rng(1))
     said = pixel_variance(sensor, sensor.exposed(flat))
     assert np.ptp(said) == 0

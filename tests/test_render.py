@@ -212,8 +212,13 @@ def test_light_keeps_its_place_when_the_target_turns():
     np.testing.assert_allclose(turned, [cos(0.3), 0.0, sin(0.3)], atol=1e-15)
 
 
+def pixels(cells):
+    """Mean over the four cells of each pixel."""
+    return cells.reshape(len(cells) // 2, 2, -1, 2).mean(axis=(1, 3))
+
+
 def test_area_sampling_of_a_disc_against_shapely():
-    """Coverage of each pixel by a disc of radius 6.3 px."""
+    """Coverage of each pixel by a disc of radius 6.3 px, and of each cell."""
     v, u = np.mgrid[0:21, 0:21] - 0.5
     corners = np.stack([u, v], axis=-1)
 
@@ -224,12 +229,16 @@ def test_area_sampling_of_a_disc_against_shapely():
     found = sampled(corners, shade)
     disc = Point(9.3, 10.1).buffer(6.3, quad_segs=2000)
     expected = np.array(
-        [[disc.intersection(box(x - 0.5, y - 0.5, x + 0.5, y + 0.5)).area for x in range(20)] for y in range(20)]
+        [
+            [4 * disc.intersection(box(x, y, x + 0.5, y + 0.5)).area for x in np.arange(-0.5, 19.5, 0.5)]
+            for y in np.arange(-0.5, 19.5, 0.5)
+        ]
     )
-    assert np.abs(found.coverage - expected).max() < 0.01
+    assert np.abs(found.coverage - expected).max() < 0.04
+    assert np.abs(pixels(found.coverage) - pixels(expected)).max() < 0.01
     np.testing.assert_allclose(found.radiance, 0.7 * found.coverage, atol=1e-12)
     # Chords of length l cut l^2 / 12 per radian off a circle's area; across a cell l is at most sqrt(1 / 2).
-    assert 0 <= pi * 6.3**2 - found.coverage.sum() <= 2 * pi * 0.5 / 12
+    assert 0 <= pi * 6.3**2 - pixels(found.coverage).sum() <= 2 * pi * 0.5 / 12
 
 
 @pytest.mark.parametrize("place", np.linspace(3.0, 4.0, 11))
@@ -238,7 +247,9 @@ def test_area_sampling_of_an_edge_along_the_pixels(place, axis):
     v, u = np.mgrid[0:9, 0:9] - 0.5
     label = lambda points: np.where(points[axis] < place, 0, -1)  # noqa: E731
     found = sampled(np.stack([u, v], axis=-1), lambda points: (label(points) + 1.0, label(points)))
-    assert found.coverage.sum(axis=1 - axis).mean() == pytest.approx(place + 0.5, abs=1 / 1000)  # of the bisection
+    assert pixels(found.coverage).sum(axis=1 - axis).mean() == pytest.approx(
+        place + 0.5, abs=1 / 1000
+    )  # of the bisection
 
 
 def test_what_is_nearer_hides_what_is_behind():
@@ -278,7 +289,7 @@ def test_occluder_covers_pixels_in_part():
 def test_noise_follows_the_photon_transfer_law():
     """variance = signal / K + (read / K)^2 + 1 / 12 of rounding, for 300 000 pixels; the mean stays."""
     sensor = Sensor(200.0, 10.0, 40.0, 12.0, vignetting=0.0, defocus_px=0.0)
-    picture = sensor.picture(np.full((480, 640), 0.5, np.float32), np.random.default_rng(3)).astype(float)
+    picture = sensor.picture(np.full((960, 1280), 0.5, np.float32), np.random.default_rng(3)).astype(float)
     variance = 100 / 40 + (12 / 40) ** 2 + 1 / 12
     count = picture.size
     assert picture.mean() == pytest.approx(110, abs=4 * sqrt(variance / count))
@@ -286,17 +297,18 @@ def test_noise_follows_the_photon_transfer_law():
 
 
 def test_defocus_is_a_gaussian():
-    radiance = np.random.default_rng(5).uniform(0, 1, (40, 50)).astype(np.float32)
+    """Of the cells, before pixels take their mean."""
+    radiance = np.random.default_rng(5).uniform(0, 1, (80, 100)).astype(np.float32)
     found = replace(EXACT, defocus_px=1.3).exposed(radiance)
-    expected = 10 + 200 * gaussian_filter(radiance.astype(float), 1.3, mode="reflect", truncate=8)
+    expected = 10 + 200 * pixels(gaussian_filter(radiance.astype(float), 2.6, mode="reflect", truncate=8))
     np.testing.assert_allclose(found[8:-8, 8:-8], expected[8:-8, 8:-8], atol=0.02)  # cv2 cuts at four sigma
 
 
 @pytest.mark.parametrize("direction", [0.0, pi / 2, 0.6])
 def test_motion_draws_a_line(direction):
     """Of a point: second moment L^2 / 12 along the line; shared bilinearly, at most 1 / 4 more on each axis."""
-    radiance = np.zeros((41, 41), np.float32)
-    radiance[20, 20] = 1.0
+    radiance = np.zeros((82, 82), np.float32)
+    radiance[40:42, 40:42] = 1.0
     light = (replace(EXACT, motion_px=9.0, motion_rad=direction).exposed(radiance) - 10) / 200
     v, u = np.mgrid[-20:21, -20:21]
     assert light.sum() == pytest.approx(1.0, abs=1e-5)
@@ -307,7 +319,7 @@ def test_motion_draws_a_line(direction):
 
 
 def test_vignetting_takes_light_from_the_corners():
-    grey = replace(EXACT, vignetting=0.2).exposed(np.ones((481, 641), np.float32))
+    grey = replace(EXACT, vignetting=0.2).exposed(np.ones((962, 1282), np.float32))
     assert grey[240, 320] == pytest.approx(210) and grey[0, 0] == pytest.approx(10 + 200 * 0.8)
     half_way = 10 + 200 * (1 - 0.2 * 160**2 / (240**2 + 320**2))
     assert grey[240, 480] == pytest.approx(half_way, abs=0.01)  # pixels counted, not their spacing

@@ -173,14 +173,13 @@ def alike_along(fit: HelixFit) -> float:
 
 def alike_across(fit: HelixFit) -> float:
     """Correlation, over half rows, of the grey level beside the silhouette with the one within it: stripes go on."""
-    half, count, cover = fit.pixels.half, len(fit.pixels.starts), fit.last.shown.cover
-    means, known = [], np.ones(count, bool)
-    for mask in (cover < OUTSIDE, (cover > 1 - OUTSIDE) & (np.abs(fit.last.shown.sine) > NEAR_LIMB)):
-        pixels = np.bincount(half[mask], minlength=count)
-        means.append(np.bincount(half[mask], fit.pixels.grey[mask], count) / np.maximum(pixels, 1))
-        known &= pixels > 0
+    half, starts, cover = fit.pixels.half, fit.pixels.starts, fit.last.shown.cover
+    outside, inside = cover < OUTSIDE, (cover > 1 - OUTSIDE) & (np.abs(fit.last.shown.sine) > NEAR_LIMB)
+    own = np.bincount(half[inside], minlength=len(starts))
+    known = (own > 0) & (np.bincount(half[outside], minlength=len(starts)) > 0)
     if not known.any():
         return 0.0
-    beside, within = (each[known] - each[known].mean() for each in means)
+    within = np.bincount(half[inside], fit.pixels.grey[inside], len(starts)) / np.maximum(own, 1)
+    beside, within = (each[known] - each[known].mean() for each in (fit.last.beside[starts], within))
     spread = np.sqrt(np.mean(np.square(beside)) * np.mean(np.square(within)))
     return float(np.mean(beside * within) / max(spread, FLAT_GREY**2))

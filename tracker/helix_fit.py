@@ -21,7 +21,7 @@ from tracker.helix_model import WHOLE, Part, Pixels, select
 from tracker.helix_search import Candidate
 from tracker.pyramid import pyramid_noise, sight_of
 
-FINE_PX, COARSE_PX = 44.0, 22.0  # height of the pattern in the pictures that are fitted, at most
+FINE_PX, COARSE_PX = 64.0, 22.0  # height of the pattern in the pictures that are fitted, at most
 FLOORS = (0.20, 0.07)  # sigmas of the first steps, of the contrast: what does not fit may only be displaced
 FIRST_GREY = 20.0  # sigma of the first residuals
 STEPS = 6
@@ -32,7 +32,7 @@ LIMB_SINE = 0.85  # of the angle from the facing generator, from which on it is 
 PLAUSIBLE = 0.6  # share of the variance that a coarse fit explains
 DARKNESS = 0.7  # light less dark, in dark, at least
 MARGIN_PX = 4  # around the target
-PARAMETERS = 13  # that are fitted, those of the light included
+PARAMETERS = 15  # that are fitted, those of the light included
 ROW_PARAMETERS, COLUMN_PARAMETERS = 8, 9  # of them, that rows and that columns tell apart (MacKinnon and White 1985)
 
 

@@ -22,7 +22,8 @@ QUANTILE, QUANTILE_SIGMAS = 0.25, 0.31864  # of a normal distribution's absolute
 LEAST_PIXELS = 20
 BESIDE_SIGMA = 100.0  # grey levels: what is beside the target
 UNEVEN = 8.0  # what is beside a half row varies by more than is left after its mean is taken
-LEVELS = 9  # linear parameters of the light
+CORNER_GREY = 0.05  # of the contrast: how wrong a pixel at a corner may be
+LEVELS = 11  # linear parameters of the light
 
 
 class State(NamedTuple):
@@ -52,6 +53,7 @@ class Linearized:
     jacobian: np.ndarray  # (4, N)
     contrast: np.ndarray  # (N,) light less dark
     dark: np.ndarray  # (N,) grey level of what is dark
+    beside: np.ndarray  # (N,) grey level of what is beside the half row
     fitting: np.ndarray  # (N,) whether a pixel is no outlier
     shown: Shown
 
@@ -70,22 +72,25 @@ def linearized(
     within = s.cover * (1 - s.below - s.above)
     lightness = share + (1 - share) * s.light
     lit = within * lightness
-    columns = np.empty((11, count), np.float32)
+    columns = np.empty((LEVELS + 2, count), np.float32)
     columns[0] = lit
     np.multiply(lit, s.sine, out=columns[1])
     np.multiply(lit, s.cosine, out=columns[2])
     np.multiply(columns[1], s.cosine, out=columns[3])
     np.multiply(columns[1], s.sine, out=columns[4])
-    np.multiply(lit, pixels.row, out=columns[5])
-    columns[6] = within * (1 - s.light)
-    columns[7] = s.cover * s.below
-    columns[8] = s.cover * s.above
-    columns[9] = pixels.grey
-    beside = columns[10] = 1 - s.cover
+    np.multiply(columns[4], s.cosine, out=columns[5])
+    np.multiply(columns[4], s.sine, out=columns[6])
+    np.multiply(lit, pixels.row, out=columns[7])
+    columns[8] = within * (1 - s.light)
+    columns[9] = s.cover * s.below
+    columns[10] = s.cover * s.above
+    columns[11] = pixels.grey
+    beside = columns[LEVELS + 1] = 1 - s.cover
     if expected is None:
         weights, fitting = np.full(count, 1 / noise.dark, np.float32), np.ones(count, bool)
     else:
         variance = noise.dark + noise.slope * np.maximum(expected, 0)
+        variance = variance + (CORNER_GREY * s.corner * (expected.max() - expected.min())) ** 2
         off, outside = np.square(pixels.grey - expected), np.square(beside)
         uneven = np.add.reduceat(outside * (off - variance), pixels.starts)
         uneven /= np.add.reduceat(outside, pixels.starts) + 1e-3
@@ -94,33 +99,43 @@ def linearized(
         weights, fitting = np.minimum(1.0, HUBER**2 / np.maximum(pull, 1e-9)) / variance, pull < HUBER**2
     heavy = weights * beside
     sums = np.add.reduceat(columns * heavy, pixels.starts, axis=1)
-    least = sums[10] + 1 / BESIDE_SIGMA**2
+    least = sums[LEVELS + 1] + 1 / BESIDE_SIGMA**2
     sums /= least
-    free = columns[:10] - np.take(sums[:10], pixels.half, axis=1) * beside
-    weighted = free[:9] * weights
+    free = columns[: LEVELS + 1] - np.take(sums[: LEVELS + 1], pixels.half, axis=1) * beside
+    weighted = free[:LEVELS] * weights
     gram = (weighted @ free.T).astype(float)
-    moment, gram = gram[:, 9], gram[:, :9]
-    gram[range(9), range(9)] *= 1 + 1e-5
-    gram[range(9), range(9)] += 1e-3
+    moment, gram = gram[:, LEVELS], gram[:, :LEVELS]
+    gram[range(LEVELS), range(LEVELS)] *= 1 + 1e-5
+    gram[range(LEVELS), range(LEVELS)] += 1e-3
     inverse = np.linalg.inv(gram)
     levels = (inverse @ moment).astype(np.float32)
-    residual = free[9] - levels @ free[:9]
-    beside_grey = (sums[9] - levels @ sums[:9])[pixels.half]
+    residual = free[LEVELS] - levels @ free[:LEVELS]
+    beside_grey = (sums[LEVELS] - levels @ sums[:LEVELS])[pixels.half]
     sunlit = levels[0] + levels[1] * s.sine + s.cosine * (levels[2] + levels[3] * s.sine)
-    sunlit += levels[4] * s.sine * s.sine + levels[5] * pixels.row
-    contrast = sunlit * (1 - share) - levels[6]
-    target = levels[:9] @ columns[:9]  # already times cover
+    sunlit += s.sine * s.sine * (levels[4] + levels[5] * s.cosine + levels[6] * s.sine) + levels[7] * pixels.row
+    contrast = sunlit * (1 - share) - levels[8]
+    target = levels @ columns[:LEVELS]  # already times cover
     excess = target / np.maximum(s.cover, 1e-6) - beside_grey
     jacobian = _jacobian(pixels, helix, s, levels, within, lightness, contrast, excess)
     sums_by = np.add.reduceat(jacobian * heavy, pixels.starts, axis=1) / least
     jacobian -= np.take(sums_by, pixels.half, axis=1) * beside
-    jacobian -= ((jacobian @ weighted.T) @ inverse.astype(np.float32)) @ free[:9]
+    jacobian -= ((jacobian @ weighted.T) @ inverse.astype(np.float32)) @ free[:LEVELS]
     heavy = jacobian * weights
     normal, gradient = (heavy @ jacobian.T).astype(float), (heavy @ residual).astype(float)
     normal[3, 3] += BLUR_SIGMA**-2
     gradient[3] += (first_blur_log(level) - state.blur_log) / BLUR_SIGMA**2
     return Linearized(
-        normal, gradient, residual, pixels.grey - residual, weights, jacobian, contrast, sunlit - contrast, fitting, s
+        normal=normal,
+        gradient=gradient,
+        residual=residual,
+        expected=pixels.grey - residual,
+        weights=weights,
+        jacobian=jacobian,
+        contrast=contrast,
+        dark=sunlit - contrast,
+        beside=beside_grey,
+        fitting=fitting,
+        shown=s,
     )
 
 
@@ -131,7 +146,7 @@ def _jacobian(pixels: Pixels, helix: Helix, s: Shown, levels, within, lightness,
     ahead = gain * (s.by_height + s.by_screw) * pixels.climb
     screw = gain * s.by_screw * slope
     bend = levels[1] - levels[2] * s.tangent + levels[3] * (s.cosine - s.sine * s.tangent)
-    bend += 2 * levels[4] * s.sine
+    bend += s.sine * (2 * levels[4] + 3 * levels[6] * s.sine + levels[5] * (2 * s.cosine - s.sine * s.tangent))
     aside = s.moves * (ahead * s.tangent - screw * s.turning + within * lightness * bend / radius)
     aside += s.cover_by_aside * excess
     jacobian = np.empty((4, len(ahead)), np.float32)

@@ -22,7 +22,8 @@ from tracker.smear import ROOT, smeared_step
 FARTHEST = -4.0  # sigmas outside the silhouette; what is farther is as if it were there
 LEAST_DEPTH = 0.03  # of the blur: at the limb itself everything changes at an infinite rate
 BESIDE_PX = 2.8  # pixels beyond the limb that still matter
-BEYOND_PX = 0.6  # pixels beyond the ends of the collars that are looked at
+CORNER = 6.0  # squared sigmas from both edges, within which their blurs are not those of edges
+ENDS_PX = 0.7  # pixels of the collars' ends that are not looked at: what is above or below them shines in
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +60,7 @@ class Shown(NamedTuple):
     tangent: np.ndarray  # derivative of -w by q, and
     turning: np.ndarray  # of the azimuth, 1 / m
     moves: np.ndarray  # derivative of what is met of q by q: less than one at the limb
+    corner: np.ndarray  # 0 to 1: how near a stripe's edge ends at a ring
 
 
 class Part(NamedTuple):
@@ -86,12 +88,9 @@ def select(
     off = np.abs(aside)
     distance = ahead - np.sqrt(np.maximum(helix.radius_m**2 - aside * aside, 0.0))
     height = camera_height_m + climb * distance
-    step = BEYOND_PX * distance * np.sqrt(sight.climb_sq[box])
+    step = ENDS_PX * distance * np.sqrt(sight.climb_sq[box])
     low, high = helix.bottom_m - helix.lower_collar_m, helix.top_m + helix.upper_collar_m
-    used = (off < helix.radius_m + BESIDE_PX * pixel_m) & (height > low - step) & (height < high + step) & (ahead > 0)
-    if part != WHOLE:
-        used &= (aside > part.left * helix.radius_m) & (aside < part.right * helix.radius_m)
-        used &= (height > low + part.lower * (high - low)) & (height < low + part.upper * (high - low))
+    used = (off < helix.radius_m + BESIDE_PX * pixel_m) & (height > low + step) & (height < high - step) & (ahead > 0)
     if part != WHOLE:
         used &= (aside > part.left * helix.radius_m) & (aside < part.right * helix.radius_m)
         used &= (height > low + part.lower * (high - low)) & (height < low + part.upper * (high - low))
@@ -160,6 +159,7 @@ def shown(pixels: Pixels, helix: Helix, camera_height_m: float, axis, heading: f
         np.subtract(height, np.float32(end), out=x[k])
     x[:6] /= rise
     x[6], x[7] = up / skew, down / skew
+    near = np.maximum(1 - np.square(x[2:4]) / CORNER, 0.0), np.maximum(1 - np.square(x[6:]) / CORNER, 0.0)
     free = (x[6:] < x[2]) & (x[6:] > x[3])  # a stripe's edge beyond the helix counts as the ring's
     x[6:] = np.minimum(np.maximum(x[6:], x[3]), x[2])
     step, bell = smeared_step(x)
@@ -181,6 +181,7 @@ def shown(pixels: Pixels, helix: Helix, camera_height_m: float, axis, heading: f
         tangent=(aside[0] / w[0] + aside[1] / w[1]) / 2,
         turning=(1 / w[0] + 1 / w[1]) / 2,
         moves=moves,
+        corner=(near[0][0] + near[0][1]) * (near[1][0] + near[1][1]),
     )
 
 

@@ -9,7 +9,8 @@ independent, and Gaussian to good approximation, with the variance v of the sens
 (Kay 1993, section 3.9; what v itself tells of p is less than a thousandth of that and left out), and what is left for
 the pose when the nuisances are estimated with it is the Schur complement. J comes from central differences of the
 renderer without noise. Known are the target, the camera, the direction of the light and the picture of the
-surroundings up to its brightness: a detector knows less than that, so it does not reach the bound at silhouettes.
+surroundings up to its brightness: a detector knows less than that, so it does not reach the bound at silhouettes. Of
+the robot only the marked solid counts, which is what a detector is told of.
 """
 
 from dataclasses import dataclass, replace
@@ -17,10 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from coopslam.se2 import Pose2, position, rotation
+from tracker.antialias import CELLS
 from tracker.camera import Camera
 from tracker.render import RenderSettings, render, target_box
 from tracker.sensor import Sensor
-from tracker.target import Target
+from tracker.target import Solid, Target
 
 STEP_PX = 0.15  # how far a difference moves the fastest point of the marked solid; edges are rendered true to 0.001
 PROBE = 1e-4  # m or rad, to find that out
@@ -40,12 +42,19 @@ class _Film(Sensor):
         return radiance
 
 
+@dataclass(frozen=True, slots=True)
+class _Marked:
+    """What a detector is told of a target."""
+
+    solids: tuple[Solid, ...]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Window:
     """The part of the picture in which the target is, and as much around it as blur reaches."""
 
-    drawn: tuple[slice, slice]
-    read: tuple[slice, slice]  # within `drawn`: beyond it, blur would need what is not drawn
+    drawn: tuple[slice, slice]  # of the cells
+    read: tuple[slice, slice]  # of the pixels that are drawn: beyond it, blur would need what is not drawn
     vignette: np.ndarray  # share of the light that arrives, of `drawn`
 
     def exposed(self, radiance: np.ndarray, sensor: Sensor) -> np.ndarray:
@@ -71,6 +80,7 @@ def pose_information(
     camera: Camera, target: Target, T_observer_target: Pose2, settings: RenderSettings, background: np.ndarray
 ) -> np.ndarray | None:
     """(3, 3) Fisher information of x, y, theta in the observer's axes, nuisances marginalized; None: not in view."""
+    target = _Marked(target.solids[:1])
     moves = _moves(camera, target, T_observer_target)
     if moves is None:
         return None
@@ -178,5 +188,6 @@ def _window(camera: Camera, target: Target, poses: list[Pose2], sensor: Sensor) 
         read.append(slice(max(first - reach, 0) - outer.start, min(last + reach, size) - outer.start))
     shape = camera.lens.height_px, camera.lens.width_px
     flat = Sensor(gain=1.0, black_level=0.0, vignetting=sensor.vignetting, defocus_px=0.0)
-    vignette = flat.exposed(np.ones(shape, np.float32))[tuple(drawn)]
-    return _Window(tuple(drawn), tuple(read), vignette)
+    vignette = flat.exposed(np.ones([CELLS * size for size in shape], np.float32))[tuple(drawn)]
+    cells = tuple(slice(CELLS * side.start, CELLS * side.stop) for side in drawn)
+    return _Window(cells, tuple(read), vignette)

@@ -10,7 +10,7 @@ import numpy as np
 
 from coopslam.errors import require_between
 from coopslam.se2 import Pose2, position, rotation
-from tracker.antialias import Patch, sampled
+from tracker.antialias import CELLS, Patch, sampled
 from tracker.background import Background
 from tracker.camera import Camera
 from tracker.lens import pixel_corners
@@ -39,10 +39,15 @@ class Occluder:
         require_between(0.0, 10.0, radiance=self.radiance)
 
     def drawn_over(self, radiance: np.ndarray) -> None:
-        """Covers what is in a (H, W) picture, in place; pixels at its border in part."""
-        u, v = np.arange(radiance.shape[1]), np.arange(radiance.shape[0])
-        across = np.clip(self.left_px + self.width_px - u + 0.5, 0, 1) - np.clip(self.left_px - u + 0.5, 0, 1)
-        down = np.clip(self.upper_px + self.height_px - v + 0.5, 0, 1) - np.clip(self.upper_px - v + 0.5, 0, 1)
+        """Covers what is in a picture of (2 H, 2 W) cells, in place; cells at its border in part."""
+
+        def covered(first_px: float, length_px: float, count: int) -> np.ndarray:
+            ends = (first_px + length_px + 0.5) * CELLS, (first_px + 0.5) * CELLS
+            upper, lower = (np.clip(end - np.arange(count), 0, 1) for end in ends)
+            return upper - lower
+
+        down = covered(self.upper_px, self.height_px, radiance.shape[0])
+        across = covered(self.left_px, self.width_px, radiance.shape[1])
         radiance += (np.outer(down, across) * (self.radiance - radiance)).astype(radiance.dtype)
 
 
@@ -71,19 +76,25 @@ def render(
     if background is None:
         apart_m = float(np.hypot(*(position(T_observer_target) - camera.mount.position_body[:2])))
         background = settings.background.radiance(camera, rng, apart_m + BEHIND_M)
-    radiance = background.astype(np.float32)
+    radiance = in_cells(background)
     box = target_box(camera, target.solids, T_observer_target)
     if box is not None:
         rows, columns = box
         corners = pixel_corners(camera.lens)[rows.start : rows.stop + 1, columns.start : columns.stop + 1]
         seen = _seen(camera, target.solids, T_observer_target, settings.light, corners)
-        radiance[box] = seen.radiance + (1 - seen.coverage) * radiance[box]
+        cells = tuple(slice(CELLS * side.start, CELLS * side.stop) for side in box)
+        radiance[cells] = seen.radiance + (1 - seen.coverage) * radiance[cells]
     return _taken(radiance, settings, rng)
 
 
 def render_background(camera: Camera, settings: RenderSettings, rng: np.random.Generator) -> np.ndarray:
     """(H, W) uint8 picture without a target."""
-    return _taken(settings.background.radiance(camera, rng).copy(), settings, rng)
+    return _taken(in_cells(settings.background.radiance(camera, rng)), settings, rng)
+
+
+def in_cells(radiance: np.ndarray) -> np.ndarray:
+    """(2 H, 2 W) float32 radiance of the cells of (H, W) pixels, all four the same."""
+    return np.repeat(np.repeat(radiance.astype(np.float32), CELLS, axis=1), CELLS, axis=0)
 
 
 def target_box(camera: Camera, solids: tuple[Solid, ...], T_observer_target: Pose2) -> tuple[slice, slice] | None:

@@ -1,9 +1,10 @@
 """From radiance to grey levels: blur of lens and motion, vignetting, gain, noise of the photons and of the read-out.
 
-    grey = round(black_level + gain * vignette * (blur * radiance) + noise), clipped to 0 .. 255
+    grey = round(black_level + gain * vignette * mean(blur * radiance) + noise), clipped to 0 .. 255
     variance of the noise = (signal in electrons + read_noise_electrons^2) / electrons_per_level^2
 
-(linear: no gamma; the photon transfer model of Janesick 2007 and of the EMVA 1288 standard).
+The blur is applied to cells finer than pixels, the mean is over the cells of a pixel: light is blurred before it falls
+on pixels. Linear, without gamma (the photon transfer model of Janesick 2007 and of the EMVA 1288 standard).
 """
 
 from dataclasses import dataclass, field
@@ -14,8 +15,9 @@ import cv2
 import numpy as np
 
 from coopslam.errors import BadInput, require_between
+from tracker.antialias import CELLS
 
-MOTION_STEPS_PER_PX = 16  # of the line that a point draws while it moves
+MOTION_STEPS_PER_CELL = 8  # of the line that a point draws while it moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +45,7 @@ class Sensor:
         require_between(-2 * pi, 2 * pi, motion_rad=self.motion_rad)
 
     def picture(self, radiance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """(H, W) uint8 from (H, W) float32 radiance."""
+        """(H, W) uint8 from (2 H, 2 W) float32 radiance of cells."""
         grey = self.exposed(radiance)
         if self.electrons_per_level < inf:
             signal = np.maximum(grey - np.float32(self.black_level), 0)
@@ -53,24 +55,26 @@ class Sensor:
         return np.clip(np.rint(grey, out=grey), 0, 255, out=grey).astype(np.uint8)
 
     def exposed(self, radiance: np.ndarray) -> np.ndarray:
-        """(H, W) float32 grey levels before noise, rounding and clipping."""
+        """(H, W) float32 grey levels before noise, rounding and clipping; radiance as for `picture`."""
         blurred = radiance.astype(np.float32)
         if self.defocus_px > 0:
-            kernel = cv2.getGaussianKernel(2 * int(np.ceil(4 * self.defocus_px)) + 1, self.defocus_px)
+            sigma = CELLS * self.defocus_px
+            kernel = cv2.getGaussianKernel(2 * int(np.ceil(4 * sigma)) + 1, sigma)
             blurred = cv2.sepFilter2D(blurred, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT)
         if self.motion_px > 0:
-            kernel = _line(self.motion_px, self.motion_rad)
+            kernel = _line(CELLS * self.motion_px, self.motion_rad)
             blurred = cv2.filter2D(blurred, -1, kernel, borderType=cv2.BORDER_REFLECT)
+        blurred = sum(blurred[i::CELLS, j::CELLS] for i in range(CELLS) for j in range(CELLS)) / np.float32(CELLS**2)
         if self.vignetting > 0:
             blurred = blurred * _vignette(blurred.shape, self.vignetting)
         return blurred * np.float32(self.gain) + np.float32(self.black_level)
 
 
-def _line(length_px: float, direction_rad: float) -> np.ndarray:
-    """Kernel of a centred line: each of its points is shared bilinearly between the four pixels around it."""
-    reach = int(np.ceil(length_px / 2)) + 1
-    steps = max(2, int(np.ceil(length_px * MOTION_STEPS_PER_PX)))
-    along = ((np.arange(steps) + 0.5) / steps - 0.5) * length_px
+def _line(length: float, direction_rad: float) -> np.ndarray:
+    """Kernel of a centred line, in cells: each of its points is shared bilinearly between the four around it."""
+    reach = int(np.ceil(length / 2)) + 1
+    steps = max(2, int(np.ceil(length * MOTION_STEPS_PER_CELL)))
+    along = ((np.arange(steps) + 0.5) / steps - 0.5) * length
     u, v = along * np.cos(direction_rad) + reach, along * np.sin(direction_rad) + reach
     kernel = np.zeros((2 * reach + 1, 2 * reach + 1))
     left, upper = np.floor(u).astype(int), np.floor(v).astype(int)

@@ -9,7 +9,7 @@ from _scenes import random_background, random_light, random_sensor
 
 from coopslam.se2 import Pose2
 from tracker.camera import Camera
-from tracker.render import RenderSettings, render, render_background
+from tracker.render import RenderSettings, in_cells, render, render_background
 from tracker.target import Drum
 
 KINDS = ("plain", "gradient", "clutter", "stripes", "people", "columns", "mosaics")
@@ -24,10 +24,10 @@ def empty_picture(kind: str, camera: Camera, rng: np.random.Generator) -> np.nda
     if kind == "columns":
         pose = Pose2(rng.uniform(1.0, 8.0), rng.uniform(-0.5, 0.5), rng.uniform(-pi, pi))
         return render(camera, _columns(rng), pose, settings, rng, background)
-    picture = np.array(background, dtype=np.float32)
+    picture = background.copy()
     for _ in range(rng.integers(1, 8)):
         DRAWN[kind](picture, rng)
-    return settings.sensor.picture(picture, rng)
+    return settings.sensor.picture(in_cells(picture), rng)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,9 @@
 """How long a detector takes beside the library's: process time of one core, on the same pictures in the same run.
 
-All methods look at each picture in turns, in another order each time; of the repetitions the median counts. Pictures
-show the helix, the tag cube or no target, near and far, before plain, graded and cluttered backgrounds. The ratio is
-that to aruco with its default parameters, picture by picture, and its median.
+Each method looks at the pictures one after the other, as it would at those of its camera; the methods take turns, in
+another order each time, and of the repetitions the median of a picture counts. Pictures show the helix, the tag cube
+or no target, near and far, before plain, graded and cluttered backgrounds. The ratio is that to aruco with its default
+parameters, picture by picture, and its median.
 """
 
 import os
@@ -48,22 +49,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     everything = []
     for shown in SHOWN:
         pictures = [_picture(shown, options.size, k, rng) for k in range(options.pictures)]
-        times = np.array([timed(methods, image, options.repetitions, rng) for image in pictures])
+        times = timed(methods, pictures, options.repetitions, rng)
         _print(shown, methods, times)
         everything.append(times)
     _print("all", methods, np.concatenate(everything))
     return 0
 
 
-def timed(methods: dict[str, Callable], image: np.ndarray, repetitions: int, rng: np.random.Generator) -> np.ndarray:
-    """(M,) process time of each method in ms: the median of some repetitions, in turns."""
+def timed(
+    methods: dict[str, Callable], pictures: Sequence[np.ndarray], repetitions: int, rng: np.random.Generator
+) -> np.ndarray:
+    """(P, M) process time of each picture and method in ms: the median of some repetitions."""
     names = list(methods)
-    spent = np.empty((repetitions, len(names)))
-    for row in spent:
+    spent = np.empty((repetitions, len(pictures), len(names)))
+    for turn in spent:
         for k in rng.permutation(len(names)):
-            began = time.process_time()
-            methods[names[k]](image)
-            row[k] = time.process_time() - began
+            for row, picture in zip(turn, pictures, strict=True):
+                began = time.process_time()
+                methods[names[k]](picture)
+                row[k] = time.process_time() - began
     return 1e3 * np.median(spent, axis=0)
 
 
