@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from _replay_options import print_table
-from _track_source import _rows, read_image
+from _track_source import read_image, read_table
 from rich.table import Table
 
 from coopslam.errors import BadInput, shown
@@ -33,7 +33,7 @@ def read_shots(folder: Path, distance_sigma_m: float) -> tuple[list[Shot], list[
     if not folder.is_dir():
         raise BadInput(f"{str(folder)[:200]}: not there; expected a folder with images and {CSV}")
     table = folder / CSV
-    rows = _rows(table, ("file", "distance_m"))
+    rows = read_table(table, ("file", "distance_m"))
     shots, images, seen = [], [], set()
     for line, row in rows:
         where, name = f"{table}:{line}", row["file"] or ""

@@ -4,9 +4,10 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import NoReturn
 
-from coopslam.errors import CoopSlamError
+from coopslam.errors import BadInput, CoopSlamError
 
 # Matrices here are small: threads that share the work on one cost more than they bring. Before numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -37,3 +38,18 @@ def run(main: Callable[[Sequence[str] | None], int], arguments: Sequence[str] | 
     except KeyboardInterrupt:
         print("interrupted; what was recorded so far is in the output directory", file=sys.stderr)
         return 130
+
+
+def require_out_file(path: Path, kind: str, read: Callable[[Path], object]) -> None:
+    """Raises BadInput when --out can be no file, or holds something else than `kind`, which `read` refuses."""
+    try:
+        if path.is_dir() or not path.absolute().parent.is_dir():
+            raise BadInput(f"--out {str(path)[:200]}: expected a file in a directory that exists")
+        exists = path.exists() and path.stat().st_size > 0
+    except (OSError, ValueError) as error:  # ValueError: a path that no system can have
+        raise BadInput(f"--out {str(path)[:200]}: cannot be written; expected a file") from error
+    if exists:
+        try:
+            read(path)
+        except BadInput as error:
+            raise BadInput(f"--out {path}: holds something else than {kind}; expected another file") from error

@@ -1,6 +1,6 @@
 """The options of explore_and_optimize.py, and the settings that they and a config file make."""
 
-from argparse import ArgumentTypeError
+from argparse import ArgumentParser, ArgumentTypeError
 from collections.abc import Callable
 from dataclasses import replace
 from math import inf
@@ -17,18 +17,45 @@ from sim.team_settings import MOST_ROBOTS
 from sim.world import world_names
 from tracker.sheets import sheet_names
 
+DEFAULTS = ExplorationSettings()
+
 
 def parser(description: str) -> OneLineParser:
     """All options, with units and defaults."""
     parser = OneLineParser(prog="explore_and_optimize.py", description=description)
+    _add_world_options(parser)
+    _add_sensor_options(parser)
+    _add_team_options(parser)
+    _add_budget_options(parser)
+    _add_output_options(parser)
+    return parser
+
+
+def _add_world_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--world",
         metavar="W",
         help=f"a GeoJSON file (one Polygon, holes allowed, metres) or one of: {', '.join(world_names())}; "
-        f"default: {ExplorationSettings().world}",
+        f"default: {DEFAULTS.world}",
     )
     parser.add_argument("--config", metavar="C.toml", type=Path, help="settings from a TOML file; options override it")
-    parser.add_argument("--seed", metavar="N", type=_seed, help="of all random numbers; default: 0")
+    parser.add_argument("--seed", metavar="N", type=_seed, help=f"of all random numbers; default: {DEFAULTS.seed}")
+    parser.add_argument(
+        "--start-corner",
+        metavar="K",
+        type=_corner,
+        help=f"of the outer ring, in which the first robot starts; default: {DEFAULTS.team.start_corner}",
+    )
+    parser.add_argument(
+        "--resume-map",
+        metavar="RUN_DIR",
+        type=_path,
+        help="wake up in the world of an earlier run, find out where, and extend its map; its world is the default of "
+        "--world",
+    )
+
+
+def _add_sensor_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--noise",
         metavar="P",
@@ -43,10 +70,12 @@ def parser(description: str) -> OneLineParser:
         help="how the robots see each other: statistical (errors drawn at random; default), or helix or apriltag: each "
         "look is a picture, rendered and searched by the detector",
     )
+    sheets = ", ".join(f"{getattr(DEFAULTS.vision, f'{camera}_sheet')} of {camera}" for camera in CAMERAS)
     parser.add_argument(
         "--tracker-sheet",
         metavar="S",
-        help=f"camera and target of --tracker helix or apriltag: a TOML file or one of: {', '.join(sheet_names())}",
+        help="camera and target of --tracker helix or apriltag: a TOML file or one of: "
+        f"{', '.join(sheet_names())}; default: {sheets}",
     )
     parser.add_argument(
         "--tracker-preset",
@@ -55,9 +84,59 @@ def parser(description: str) -> OneLineParser:
         help="errors and limits of the statistical tracker: helix (default), retroreflector (range and bearing, no "
         "heading, up to 30 m) or laser-stripe (precise, up to 4 m)",
     )
+    for kind, what in (("outliers", "are reflections"), ("dropouts", "are missed")):
+        default = getattr(DEFAULTS.false_sightings, kind)
+        parser.add_argument(
+            f"--{kind}",
+            metavar="F",
+            type=_share,
+            help=f"fraction of sightings that {what}, 0 to {MOST_FALSE:g}; default: {default:g}",
+        )
+
+
+def _add_team_options(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "--estimator", metavar="E", choices=[*DRIVERS], help=f"that steers: {', '.join(DRIVERS)}; default: incremental"
+        "--robots",
+        metavar="N",
+        type=int,
+        help=f"2 (default) to {MOST_ROBOTS}: the first two explore, the others watch",
     )
+    parser.add_argument(
+        "--estimator",
+        metavar="E",
+        choices=[*DRIVERS],
+        help=f"that steers: {', '.join(DRIVERS)}; default: {DEFAULTS.estimator}",
+    )
+    parser.add_argument(
+        "--strategy",
+        metavar="S",
+        choices=[*STRATEGIES],
+        help=f"which waiting gate next: {', '.join(STRATEGIES)}; default: {DEFAULTS.explorer.strategy}",
+    )
+    parser.add_argument(
+        "--no-reobservation",
+        action="store_true",
+        help="known corners passed on the way are not used as factors; default: they are",
+    )
+
+
+def _add_budget_options(parser: ArgumentParser) -> None:
+    budget = DEFAULTS.budget
+    parser.add_argument(
+        "--max-moves",
+        metavar="N",
+        type=_moves,
+        help=f"stop with outcome budget after so many moves; default: {budget.moves}",
+    )
+    parser.add_argument(
+        "--max-travel",
+        metavar="M",
+        type=_metres,
+        help=f"stop with outcome budget after so many metres, all robots; default: {budget.travel_m:.0f}",
+    )
+
+
+def _add_output_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--out", metavar="DIR", type=_path, help="run directory; default: a new one, runs/WORLD-NOISE-SEED"
     )
@@ -67,38 +146,7 @@ def parser(description: str) -> OneLineParser:
         choices=["none", "static", "all"],
         help="none, static (default) or all: with an animation of up to 25 s, figures/exploration.mp4 and .gif",
     )
-    parser.add_argument(
-        "--robots", metavar="N", type=int, help="2 (default) to 6: the first two explore, the others watch"
-    )
-    parser.add_argument(
-        "--strategy", metavar="S", choices=[*STRATEGIES], help=f"which waiting gate next: {', '.join(STRATEGIES)}"
-    )
-    parser.add_argument(
-        "--outliers", metavar="F", type=_share, help="fraction of sightings that are reflections, 0 to 0.5"
-    )
-    parser.add_argument("--dropouts", metavar="F", type=_share, help="fraction of sightings that are missed, 0 to 0.5")
-    parser.add_argument(
-        "--no-reobservation", action="store_true", help="known corners passed on the way are not used as factors"
-    )
-    parser.add_argument("--max-moves", metavar="N", type=_moves, help="stop with outcome budget after so many moves")
-    parser.add_argument(
-        "--max-travel", metavar="M", type=_metres, help="stop with outcome budget after so many metres, all robots"
-    )
-    parser.add_argument(
-        "--resume-map",
-        metavar="RUN_DIR",
-        type=_path,
-        help="wake up in the world of an earlier run, find out where, and extend its map; its world is the default of "
-        "--world",
-    )
-    parser.add_argument(
-        "--start-corner",
-        metavar="K",
-        type=_corner,
-        help="of the outer ring, in which the first robot starts; default: 0",
-    )
     parser.add_argument("--force", action="store_true", help="overwrite a run in --out")
-    return parser
 
 
 def settings_of(options) -> ExplorationSettings:

@@ -26,7 +26,9 @@ def add_replay_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", type=Path, help="output directory; default: a new one in runs/")
     parser.add_argument("--force", action="store_true", help="overwrite results in --out")
     parser.add_argument("--config", metavar="C.toml", type=Path, help="settings from a TOML file; options override it")
-    parser.add_argument("--ignore", choices=["nothing", "landmarks", "robots"], help="do not use sightings of these")
+    parser.add_argument(
+        "--ignore", choices=["nothing", "landmarks", "robots"], help="do not use sightings of these; default: nothing"
+    )
     parser.add_argument(
         "--loss", choices=["squares", "huber", "cauchy"], help="of bearings and ranges, in smoothers; default: cauchy"
     )
@@ -39,7 +41,7 @@ def add_replay_options(parser: argparse.ArgumentParser) -> None:
         "--random-start",
         metavar="SEED",
         type=int,
-        help="guess the robots anywhere at first, and tell everything in the frame of a random one",
+        help="guess the robots anywhere at first, and tell everything in the frame of a random one; default: not",
     )
     add_part_options(parser)
     calibration = parser.add_mutually_exclusive_group()

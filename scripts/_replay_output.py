@@ -192,7 +192,6 @@ def _robots(
         result[robot] = RobotErrors(
             trajectory.stamps_s - start_s,
             _points([to_truth * pose for pose in trajectory.poses]),
-            sigmas,
             own.stamps_s - start_s,
             own.position_errors_m,
             own.heading_errors_rad,

@@ -83,7 +83,7 @@ def run_on_dask(jobs: list[dict], client, run: Callable[[dict], dict] | None = N
                 results = crashed("it killed its Dask workers again and again")
             except CancelledError as error:
                 raise ClusterLost("the Dask scheduler is gone") from error
-            except Exception as error:  # the worker cannot even import the program
+            except Exception as error:  # whatever the run raised there; the worker may not even import the program
                 results = crashed(f"{type(error).__name__}: {error}")
             yield job, results
             top_up()
@@ -95,9 +95,11 @@ def run_on_dask(jobs: list[dict], client, run: Callable[[dict], dict] | None = N
 
 def _forget(client, finished) -> None:
     """Nobody waits for what is still under way."""
+    from distributed.client import ClosedClientError
+
     try:
         client.cancel(list(finished.futures), force=True)
-    except Exception:  # the scheduler is gone, and the runs with it
+    except (ClosedClientError, OSError, RuntimeError):  # the scheduler is gone, and the runs with it
         logging.getLogger(__name__).debug("nothing to cancel", exc_info=True)
 
 

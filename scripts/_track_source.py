@@ -118,7 +118,7 @@ def read_stamps(path: Path, names: list[str] | None) -> list[float]:
 
     Raises BadInput, with the line, unless each picture has one stamp and they ascend.
     """
-    rows = _rows(path, ("stamp_s",) if names is None else ("file", "stamp_s"))
+    rows = read_table(path, ("stamp_s",) if names is None else ("file", "stamp_s"))
     stamps = {}
     for line, row in rows:
         try:
@@ -139,7 +139,11 @@ def read_stamps(path: Path, names: list[str] | None) -> list[float]:
     return [stamp_s for stamp_s, _ in ordered]
 
 
-def _rows(path: Path, columns: tuple[str, ...]) -> list[tuple[int, dict]]:
+def read_table(path: Path, columns: tuple[str, ...]) -> list[tuple[int, dict[str, str | None]]]:
+    """Rows of a CSV file that must have these columns and may have others, each with the number of its last line.
+
+    Raises BadInput for a file that cannot be read or lacks a column.
+    """
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.DictReader(stream)

@@ -4,13 +4,14 @@ Without truth the size of the world is open, and the mean scale of odometry is h
 """
 
 import sys
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from _calibration import calibrate_itself, part_of, read_calibration, with_part, write_calibration
-from _cli import OneLineParser, run
+from _cli import OneLineParser, require_out_file, run
 from _replay import ReplaySettings, without_ignored
 from _replay_options import add_part_options, print_table
 from rich.table import Table
@@ -38,30 +39,13 @@ RESIDUALS = {  # name in the file -> what the table says, factor to its unit
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Calibrate, write the file, show what was found."""
-    parser = OneLineParser(prog="calibrate.py", description=__doc__)
-    parser.add_argument("log", metavar="LOG", type=Path, help="a run directory, .mcap, MR.CLAM directory or .pyfg")
-    parser.add_argument("--out", metavar="C.toml", type=Path, required=True, help="the calibration; units in its keys")
-    parser.add_argument("--with-truth", action="store_true", help="against the truth beside the log")
-    add_part_options(parser)
-    parser.add_argument("--ignore", choices=["nothing", "landmarks", "robots"], help="do not use sightings of these")
-    parser.add_argument(
-        "--rounds", metavar="N", type=int, default=4, help="of smoothing and calibrating, without truth; default: 4"
-    )
-    parser.add_argument(
-        "--hold",
-        metavar="NAMES",
-        help="constants that are known to be right, comma between them, without truth: a scale that is held tells how "
-        f"large the world is; known: {', '.join(PARAMETERS)}",
-    )
-    parser.add_argument("--config", metavar="S.toml", type=Path, help="settings, as of replay.py")
-    parser.add_argument("--figures", choices=["none", "static"], default="static", help="default: static, beside --out")
-    options = parser.parse_args(arguments)
+    options = _parsed(arguments)
     settings = ReplaySettings()
     if options.config is not None:
         settings = from_mapping(ReplaySettings, load_toml(options.config), str(options.config))
     from_s = settings.from_s if options.from_s is None else options.from_s
     to_s = settings.to_s if options.to_s is None else options.to_s
-    _check_out(options.out)
+    require_out_file(options.out, "a calibration", read_calibration)
     if options.hold is not None and options.with_truth:
         raise BadInput("--hold: not with --with-truth, which measures every constant")
     source = open_log(options.log)
@@ -96,6 +80,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def _parsed(arguments: Sequence[str] | None) -> Namespace:
+    parser = OneLineParser(prog="calibrate.py", description=__doc__)
+    parser.add_argument("log", metavar="LOG", type=Path, help="a run directory, .mcap, MR.CLAM directory or .pyfg")
+    parser.add_argument("--out", metavar="C.toml", type=Path, required=True, help="the calibration; units in its keys")
+    parser.add_argument("--with-truth", action="store_true", help="against the truth beside the log")
+    add_part_options(parser)
+    parser.add_argument(
+        "--ignore", choices=["nothing", "landmarks", "robots"], help="do not use sightings of these; default: nothing"
+    )
+    parser.add_argument(
+        "--rounds", metavar="N", type=int, default=4, help="of smoothing and calibrating, without truth; default: 4"
+    )
+    parser.add_argument(
+        "--hold",
+        metavar="NAMES",
+        help="constants that are known to be right, comma between them, without truth: a scale that is held tells how "
+        f"large the world is; known: {', '.join(PARAMETERS)}",
+    )
+    parser.add_argument("--config", metavar="S.toml", type=Path, help="settings, as of replay.py")
+    parser.add_argument("--figures", choices=["none", "static"], default="static", help="default: static, beside --out")
+    return parser.parse_args(arguments)
+
+
 def _against_truth(
     log: Log, records: Sequence[Record], truth: Truth | None, path: Path
 ) -> tuple[Calibration, Mapping[str, Course], Mapping]:
@@ -104,21 +111,6 @@ def _against_truth(
     calibration = truth_calibrate(records, log.header.robots, truth.robots, truth.landmarks, log=log.name)
     tracks = {robot: course_of(truth.robots[robot]) for robot in calibration.robots}
     return calibration, tracks, truth.landmarks
-
-
-def _check_out(path: Path) -> None:
-    """Raises BadInput when something else than a calibration is there, or the file cannot be written."""
-    try:
-        if path.is_dir() or not path.absolute().parent.is_dir():
-            raise BadInput(f"--out {str(path)[:200]}: expected a file in a directory that exists")
-        exists = path.exists() and path.stat().st_size > 0
-    except (OSError, ValueError) as error:  # ValueError: a path that no system can have
-        raise BadInput(f"--out {str(path)[:200]}: cannot be written; expected a file") from error
-    if exists:
-        try:
-            read_calibration(path)
-        except BadInput as error:
-            raise BadInput(f"--out {path}: holds something else than a calibration; expected another file") from error
 
 
 def _show(calibration: Calibration) -> None:

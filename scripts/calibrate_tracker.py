@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from _calibrate_tracker import curve_of, read_shots, sheet_text, show, without_note
-from _cli import OneLineParser, run
+from _cli import OneLineParser, require_out_file, run
 from _target_sheet import write_target
 
 from coopslam.errors import BadInput, NotWritten, require_positive
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise BadInput("IMAGES and --out expected, or --print-target alone")
     require_positive(10.0, distance_sigma=options.distance_sigma)
     names = _names(options, sheet)
-    _check_out(options.out)
+    require_out_file(options.out, "a data sheet", load_data_sheet)
     shots, images = read_shots(options.images, options.distance_sigma)
     calibrated = calibrate_tracker(sheet, names, shots, images, partial(print, flush=True))
     wanted = options.held_out or len(calibrated.shots) <= HELD_OUT_AT_MOST
@@ -94,21 +94,6 @@ def _names(options, sheet: DataSheet) -> tuple[str, ...]:
     if options.intrinsics:
         names += [name for name in INTRINSICS if name not in names]
     return require_known(sheet, names)
-
-
-def _check_out(path: Path) -> None:
-    """Raises BadInput when something else than a data sheet is there, or no file can be."""
-    try:
-        if path.is_dir() or not path.absolute().parent.is_dir():
-            raise BadInput(f"--out {str(path)[:200]}: expected a file in a directory that exists")
-        exists = path.exists() and path.stat().st_size > 0
-    except (OSError, ValueError) as error:  # ValueError: a path that no system can have
-        raise BadInput(f"--out {str(path)[:200]}: cannot be written; expected a file") from error
-    if exists:
-        try:
-            load_data_sheet(path)
-        except BadInput as error:
-            raise BadInput(f"--out {path}: holds something else than a data sheet; expected another file") from error
 
 
 if __name__ == "__main__":

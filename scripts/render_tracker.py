@@ -33,7 +33,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="a new directory")
     parser.add_argument("--frames", metavar="N", type=int, default=80, help="pictures in all; default: 80")
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of clutter and noise; default: 0")
-    parser.add_argument("--background", choices=["plain", "gradient", "clutter"], default="clutter")
+    parser.add_argument(
+        "--background",
+        choices=["plain", "gradient", "clutter"],
+        default="clutter",
+        help="behind the robot; default: clutter",
+    )
     options = parser.parse_args(arguments)
     if not 1 <= options.frames <= 100_000:
         raise BadInput(f"--frames: 1 to 100000 expected, got {options.frames}")

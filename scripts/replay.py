@@ -30,7 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "log", metavar="LOG", type=Path, help="a run directory, .mcap, MR.CLAM directory, .pyfg or .g2o"
     )
-    parser.add_argument("--estimator", metavar="E", choices=NAMES, default=BATCH, help=f"{', '.join(NAMES)}")
+    parser.add_argument(
+        "--estimator", metavar="E", choices=NAMES, default=BATCH, help=f"{', '.join(NAMES)}; default: {BATCH}"
+    )
     add_replay_options(parser)
     options = parser.parse_args(arguments)
     settings = replay_settings(options)

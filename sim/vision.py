@@ -8,8 +8,8 @@ target is, only the detector says.
 What is simulated: perspective, lens, the robot's body, light that shines from one side of the world all run long,
 clutter that changes from picture to picture, blur by the robots' motion during the exposure, noise. What is not: walls
 of the polygonal world in the background (contact breaks where the simulator says, as with statistical trackers),
-targets in the other cameras, and a mirror's exchange of left and right (a reflection looks like a robot that stands
-there).
+targets in the other cameras, a third robot that stands between two (it is not drawn, and hides nothing), and a
+mirror's exchange of left and right (a reflection looks like a robot that stands there).
 """
 
 from collections.abc import Callable

@@ -1,15 +1,9 @@
 """explore_and_optimize.py as tests call it, and what they read of its run directories."""
 
-import json
-import sys
 from pathlib import Path
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
-
-from _cli import run  # noqa: E402
-from _exploration import DRIVERS  # noqa: E402, F401
-from explore_and_optimize import main  # noqa: E402
+from explore_and_optimize import main
+from script_calls import SCRIPTS, exit_code, load, require_one_line, without_seconds  # noqa: F401
 
 ROBOTS = ("robot0", "robot1")
 FILES = [
@@ -35,31 +29,9 @@ SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4], [0, 0]]
 
 def call(*arguments) -> int:
     """Exit code of the script in this process."""
-    try:
-        return run(main, [str(argument) for argument in arguments])
-    except SystemExit as end:
-        return end.code
-
-
-def load(path: Path):
-    return json.loads(path.read_text(encoding="utf-8"))
-
-
-def without_seconds(value):
-    if isinstance(value, dict):
-        return {key: without_seconds(item) for key, item in value.items() if not key.endswith("_seconds")}
-    return value
-
-
-def files_of(out: Path) -> dict[Path, bytes]:
-    return {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    return exit_code(main, *arguments)
 
 
 def summary_of(out: Path):
     """What does not depend on the clock."""
     return without_seconds(load(out / "summary.json"))
-
-
-def require_one_line(said: str, *words: str) -> None:
-    assert said.endswith("\n") and len(said.splitlines()) == 1, said
-    assert "Traceback" not in said and [word for word in words if word not in said] == [], said

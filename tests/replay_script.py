@@ -1,14 +1,11 @@
-"""replay.py and compare.py as tests call them, and what they read of the directories that these leave."""
+"""replay.py and compare.py as tests call them."""
 
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
-
-import compare  # noqa: E402
-import replay  # noqa: E402
-from _cli import run  # noqa: E402
+import compare
+import replay
+from script_calls import exit_code, require_refused
 
 LOGS = Path(__file__).parents[1] / "datasets" / "logs"
 MRCLAM, PYFG, G2O = LOGS / "two_robots_mrclam", LOGS / "two_robots.pyfg", LOGS / "two_robots.g2o"
@@ -16,25 +13,29 @@ MRCLAM, PYFG, G2O = LOGS / "two_robots_mrclam", LOGS / "two_robots.pyfg", LOGS /
 
 def call_replay(*arguments) -> int:
     """Exit code of replay.py in this process."""
-    return _call(replay.main, arguments)
+    return exit_code(replay.main, *arguments)
 
 
 def call_compare(*arguments) -> int:
     """Exit code of compare.py in this process."""
-    return _call(compare.main, arguments)
+    return exit_code(compare.main, *arguments)
 
 
-def without_seconds(value):
-    """What does not depend on the clock, at any depth."""
-    if isinstance(value, dict):
-        return {key: without_seconds(item) for key, item in value.items() if not key.endswith("_seconds")}
-    if isinstance(value, list):
-        return [without_seconds(item) for item in value]
-    return value
+def refused_replay(capsys, *arguments, words, code=2) -> str:
+    """The one line that an impossible call of replay.py gives."""
+    return require_refused(replay.main, capsys, *arguments, words=words, code=code)
 
 
-def _call(main, arguments) -> int:
-    try:
-        return run(main, [str(argument) for argument in arguments])
-    except SystemExit as end:
-        return end.code
+def refused_compare(capsys, *arguments, words, code=2) -> str:
+    """The one line that an impossible call of compare.py gives."""
+    return require_refused(compare.main, capsys, *arguments, words=words, code=code)
+
+
+def results_in(folder: Path, call: Callable[..., int]) -> Callable[..., Path]:
+    """A call without figures that ends with the expected exit code; the directory of its results, below the folder."""
+
+    def called(*arguments, out="out", code=0) -> Path:
+        assert call(*arguments, "--figures", "none", "--out", folder / out) == code
+        return folder / out
+
+    return called

@@ -1,28 +1,22 @@
 """The film of a run: what a frame shows at a moment, and the files."""
 
 import dataclasses
-import sys
 from html.parser import HTMLParser
-from pathlib import Path
 
 import av
+import explore_and_optimize
 import numpy as np
 import pytest
+from _cli import run
+from _exploration import ExplorationSettings, explore, prepare
+from _exploration_output import view_of
 from PIL import Image
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
-
-import explore_and_optimize  # noqa: E402
-from _cli import run  # noqa: E402
-from _exploration import ExplorationSettings, explore, prepare  # noqa: E402
-from _exploration_output import view_of  # noqa: E402
-
-from coopslam.records import MoveNote, TriangleDecision  # noqa: E402
-from coopslam.report import animation, canvas  # noqa: E402
-from coopslam.report.animation import HOLD_FRAMES, Film, frame_times, write_animation  # noqa: E402
-from coopslam.report.story import Story  # noqa: E402
-from coopslam.report.video import FRAME_MS, FRAMES_PER_S, palette_of  # noqa: E402
+from coopslam.records import MoveNote, TriangleDecision
+from coopslam.report import animation, canvas
+from coopslam.report.animation import HOLD_FRAMES, Film, frame_times, write_animation
+from coopslam.report.story import Story
+from coopslam.report.video import FRAME_MS, FRAMES_PER_S, palette_of
 
 FRAMES = 24
 

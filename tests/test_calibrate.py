@@ -6,21 +6,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import calibrate
+import compare
+import explore_and_optimize
 import numpy as np
 import pytest
+import replay
 from miscalibrated_world import PLANTED, STEP_S, miscalibrated_world
+from script_calls import exit_code, require_refused
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-
-import calibrate  # noqa: E402
-import compare  # noqa: E402
-import explore_and_optimize  # noqa: E402
-import replay  # noqa: E402
-from _cli import run  # noqa: E402
-
-from coopslam.estimation.calibration import PARAMETERS, Calibration  # noqa: E402
-from coopslam.io.toml import from_mapping, load_toml  # noqa: E402
-from coopslam.records import Odometry  # noqa: E402
+from coopslam.estimation.calibration import PARAMETERS, Calibration
+from coopslam.io.toml import from_mapping, load_toml
+from coopslam.records import Odometry
 
 NUMBERS = {"a": 1, "b": 2}
 WRONG = {robot: PLANTED[robot] for robot in NUMBERS}
@@ -61,10 +58,7 @@ def log(tmp_path_factory):
 
 def call(script, *arguments) -> int:
     """Exit code of a script in this process."""
-    try:
-        return run(script.main, [str(argument) for argument in arguments])
-    except SystemExit as end:
-        return end.code
+    return exit_code(script.main, *arguments)
 
 
 def load(path) -> Calibration:
@@ -150,9 +144,7 @@ def test_the_log_of_an_exploration(tmp_path, capsys):
 
 def refused(capsys, *arguments, script=calibrate) -> str:
     """The one line of a command that ends with exit code 2."""
-    assert call(script, *arguments) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    return line
+    return require_refused(script.main, capsys, *arguments)
 
 
 def test_bad_arguments_are_one_line(log, with_truth, tmp_path, capsys):

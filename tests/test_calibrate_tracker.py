@@ -2,27 +2,23 @@
 
 import csv
 import re
-import sys
 from math import pi
 from pathlib import Path
 
+import calibrate_tracker
 import cv2
 import numpy as np
 import pytest
+from script_calls import exit_code, require_refused
 from shapely import Polygon, union_all
 from shapely.geometry import Point
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-
-import calibrate_tracker  # noqa: E402
-from _cli import run  # noqa: E402
-
-from coopslam.se2 import Pose2  # noqa: E402
-from tracker.background import Background  # noqa: E402
-from tracker.calibration_parameters import values_of, with_values  # noqa: E402
-from tracker.data_sheet import load_data_sheet  # noqa: E402
-from tracker.render import RenderSettings, render  # noqa: E402
-from tracker.sheets import load_sheet  # noqa: E402
+from coopslam.se2 import Pose2
+from tracker.background import Background
+from tracker.calibration_parameters import values_of, with_values
+from tracker.data_sheet import load_data_sheet
+from tracker.render import RenderSettings, render
+from tracker.sheets import load_sheet
 
 NAMES = ("height", "tilt", "radius", "fx", "fy")
 HELIX = load_sheet("helix_640x480")
@@ -32,10 +28,7 @@ COLUMNS = ("file", "distance_m", "bearing_deg", "heading_deg")
 
 
 def call(*arguments) -> int:
-    try:
-        return run(calibrate_tracker.main, [str(argument) for argument in arguments])
-    except SystemExit as end:
-        return end.code
+    return exit_code(calibrate_tracker.main, *arguments)
 
 
 def write_rows(folder: Path, rows, columns=COLUMNS) -> None:
@@ -59,7 +52,7 @@ def rows_and_images(tmp_path_factory):
     return rows, folder
 
 
-def test_a_sheet_in_and_a_better_one_out(rows_and_images, tmp_path, capsys):
+def test_a_sheet_in_and_a_better_one_out(rows_and_images, tmp_path, monkeypatch, capsys):
     _, folder = rows_and_images
     out = tmp_path / "calibrated.toml"
     options = ("--sheet", "helix_640x480", "--out", out, "--figures", tmp_path / "figures")
@@ -73,14 +66,22 @@ def test_a_sheet_in_and_a_better_one_out(rows_and_images, tmp_path, capsys):
     assert "root mean square" in said and "5.png" in said
     assert (tmp_path / "figures" / "calibration.png").stat().st_size > 30_000
     # calibrated once more from there, height and tilt stay; the note is of the new pictures
+    monkeypatch.setattr(calibrate_tracker, "HELD_OUT_AT_MOST", 0)
     assert call(folder, "--sheet", out, "--out", out, "--estimate", "height,tilt") == 0
     again = load_data_sheet(out)
     assert list(again.calibration.sigmas) == ["height", "tilt"]
     assert np.abs(values_of(again, ("tilt",)) - values_of(found, ("tilt",)))[0] < 3 * sigmas[1]
     assert "something is wrong" not in said + capsys.readouterr().out
-    # neither heights nor tilt explain a target that is larger than the sheet says, nor the focal length
-    assert call(folder, "--sheet", "helix_640x480", "--out", out, "--estimate", "height,tilt,bottom,top") == 0
+
+
+def test_what_the_parameters_cannot_explain_is_said(rows_and_images, tmp_path, monkeypatch, capsys):
+    """Neither heights nor tilt explain a target that is larger than the sheet says, nor the focal length."""
+    monkeypatch.setattr(calibrate_tracker, "HELD_OUT_AT_MOST", 0)
+    _, folder = rows_and_images
+    options = ("--sheet", "helix_640x480", "--out", tmp_path / "c.toml", "--estimate", "height,tilt,bottom,top")
+    assert call(folder, *options) == 0
     said = capsys.readouterr().out
+    assert "root mean square" not in said  # pictures are held out when there are few, or when it is asked for
     assert "something is wrong that is not among height, tilt, bottom, top" in said
     assert "height and bottom and top: changed together they leave these pictures as they are" in said
 
@@ -109,9 +110,7 @@ def test_the_pattern_on_paper(tmp_path):
 
 
 def refused(capsys, *arguments) -> str:
-    assert call(*arguments) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    return line
+    return require_refused(calibrate_tracker.main, capsys, *arguments)
 
 
 def test_bad_input_is_one_line(rows_and_images, tmp_path, capsys):

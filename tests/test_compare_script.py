@@ -5,26 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from explore_script import files_of, load, require_one_line
-from replay_script import G2O, MRCLAM, PYFG, call_compare, call_replay, without_seconds
+from replay_script import G2O, MRCLAM, PYFG, call_compare, call_replay, refused_compare, results_in
+from script_calls import files_of, full_disk_at, load, without_seconds
 
 from coopslam.estimation.estimators import NAMES
 
 
 @pytest.fixture
 def compared(tmp_path):
-    def compare(*arguments, out="out", code=0) -> Path:
-        assert call_compare(*arguments, "--figures", "none", "--out", tmp_path / out) == code
-        return tmp_path / out
-
-    return compare
-
-
-def refused(capsys, *arguments, words, code=2):
-    """The one line that an impossible call gives."""
-    capsys.readouterr()
-    assert call_compare(*arguments) == code
-    require_one_line(capsys.readouterr().err, *words)
+    return results_in(tmp_path, call_compare)
 
 
 @pytest.fixture
@@ -96,7 +85,7 @@ def test_the_same_log_twice_has_two_places(compared):
 def test_what_fails_is_said_and_the_others_are_kept(capsys, silent, tmp_path):
     out = tmp_path / "out"
     arguments = (silent, PYFG, "--estimators", "ekf,batch", "--figures", "none", "--out", out)
-    refused(capsys, *arguments, words=["ekf", "batch", "robot2"], code=3)
+    refused_compare(capsys, *arguments, words=["ekf", "batch", "robot2"], code=3)
     summary = load(out / "summary.json")
     assert {name: scores["logs"] for name, scores in summary["estimators"].items()} == {"ekf": 1, "batch": 1}
     assert all("failed" in scores for scores in summary["logs"][0]["estimators"].values())
@@ -122,7 +111,7 @@ def test_nothing_of_an_older_comparison_is_left(compared):
 def test_results_are_left_alone_without_force(compared, capsys):
     out = compared(PYFG, "--estimators", "batch")
     before = files_of(out)
-    refused(capsys, PYFG, "--out", out, words=["--out", "--force"])
+    refused_compare(capsys, PYFG, "--out", out, words=["--out", "--force"])
     assert files_of(out) == before
 
 
@@ -147,32 +136,25 @@ def test_figures_are_drawn_by_default(tmp_path):
 )
 def test_what_cannot_be_is_refused_in_one_line(capsys, tmp_path, arguments, words):
     """Before anything is written, whichever log it is."""
-    refused(capsys, *arguments, *(["--out", tmp_path / "out"] if arguments else []), words=words)
+    refused_compare(capsys, *arguments, *(["--out", tmp_path / "out"] if arguments else []), words=words)
     assert not (tmp_path / "out").exists()
 
 
 def test_where_nothing_can_be_written(capsys, tmp_path):
     (tmp_path / "file").write_text("")
     for out in (tmp_path / "file", tmp_path / "file" / "below", "/proc/none"):
-        refused(capsys, PYFG, "--out", out, words=["--out"])
+        refused_compare(capsys, PYFG, "--out", out, words=["--out"])
 
 
 @pytest.mark.parametrize(("blocked", "code"), [("config.toml", 2), ("robot2.tum", 3)])
 def test_a_disk_that_fails_on_the_way(capsys, tmp_path, monkeypatch, blocked, code):
-    real = Path.write_text
-
-    def fails(path, *arguments, **options):
-        if path.name == blocked:
-            raise OSError(28, "No space left on device")
-        return real(path, *arguments, **options)
-
-    monkeypatch.setattr(Path, "write_text", fails)
+    full_disk_at(monkeypatch, blocked)
     arguments = (PYFG, MRCLAM, "--estimators", "batch", "--figures", "none", "--out", tmp_path / "out")
-    refused(capsys, *arguments, words=["--out", "No space left on device"], code=code)
+    refused_compare(capsys, *arguments, words=["--out", "No space left on device"], code=code)
 
 
 def test_a_file_where_a_log_of_several_has_its_place(capsys, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "001-two_robots_mrclam").write_text("")
     arguments = (PYFG, MRCLAM, "--estimators", "batch", "--figures", "none", "--out", tmp_path / "out")
-    refused(capsys, *arguments, words=["--out", "File exists"], code=3)
+    refused_compare(capsys, *arguments, words=["--out", "File exists"], code=3)

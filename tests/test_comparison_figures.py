@@ -157,7 +157,7 @@ def ten_poses(errors_m, sigma_m=0.1) -> RobotErrors:
     n, stamps_s = len(errors_m), np.arange(float(len(errors_m)))
     sigmas = np.full(n, sigma_m)
     path = np.stack([stamps_s, stamps_s], axis=1)
-    return RobotErrors(stamps_s, path, sigmas, stamps_s, np.array(errors_m), 0.1 * sigmas, sigmas, sigmas, sigmas * 30)
+    return RobotErrors(stamps_s, path, stamps_s, np.array(errors_m), 0.1 * sigmas, sigmas, sigmas, sigmas * 30)
 
 
 def test_errors_are_drawn_in_named_units_and_those_beyond_3_sigma_are_marked():

@@ -47,10 +47,8 @@ def errors_of(rng, truth: np.ndarray, sigma_m: float, overconfident: float, clai
     off_m = offsets[:, :2] * sigmas[:, None]
     nees = (offsets**2).sum(axis=1)
     nees[:1] = np.nan  # the anchored pose
-    known = [sigmas, sigmas, 0.3 * sigmas, nees] if claims else [EMPTY] * 4
-    return RobotErrors(
-        stamps_s, truth + off_m, known[0], stamps_s, np.hypot(*off_m.T), 0.3 * sigmas * offsets[:, 2], *known[1:]
-    )
+    known = [sigmas, 0.3 * sigmas, nees] if claims else [EMPTY] * 3
+    return RobotErrors(stamps_s, truth + off_m, stamps_s, np.hypot(*off_m.T), 0.3 * sigmas * offsets[:, 2], *known)
 
 
 def estimator_of(rng, name: str, paths, landmarks, sigma_m: float, overconfident=1.0, causal=True) -> EstimatorView:
@@ -112,7 +110,7 @@ def without_truth(view: ComparisonView) -> ComparisonView:
     """The same log when nobody measured where the robots really were."""
 
     def blind(robot: RobotErrors) -> RobotErrors:
-        return RobotErrors(robot.stamps_s, robot.path, robot.position_sigmas_m, *[EMPTY] * 6)
+        return RobotErrors(robot.stamps_s, robot.path, *[EMPTY] * 6)
 
     judged = ("ate", "heading", "causal", "nees", "rpe", "robots")
     estimators = [

@@ -1,7 +1,6 @@
 """Data sheets: those of the repository hold what the design promises; what cannot be is refused with file and key."""
 
 from dataclasses import replace
-from math import pi
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +18,6 @@ HELIX = (SHEETS / "helix_640x480.toml").read_text(encoding="utf-8")
 
 def sheet(name):
     return load_data_sheet(SHEETS / f"{name}.toml")
-
-
-def rim(radius_m, height_m, x_m):
-    """(N, 3) circle around a vertical axis at (x_m, 0)."""
-    angle = np.linspace(-pi, pi, 100)
-    return np.column_stack([x_m + radius_m * np.cos(angle), radius_m * np.sin(angle), np.full(100, height_m)])
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -4,7 +4,8 @@ import json
 import tomllib
 
 import pytest
-from explore_script import SQUARE, call, load, require_one_line, summary_of
+from explore_script import SQUARE, call, summary_of
+from script_calls import load, require_one_line
 
 BAD_WORLDS = {
     "empty.geojson": "",

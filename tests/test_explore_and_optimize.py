@@ -10,18 +10,8 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from explore_script import (
-    FILES,
-    ROBOTS,
-    SCRIPTS,
-    SQUARE,
-    call,
-    files_of,
-    load,
-    require_one_line,
-    summary_of,
-    without_seconds,
-)
+from explore_script import FILES, ROBOTS, SQUARE, call, summary_of
+from script_calls import SCRIPTS, files_of, load, require_one_line, without_seconds
 
 from coopslam.io.run_log import read_run_log
 from coopslam.io.tum import read_tum

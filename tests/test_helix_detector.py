@@ -1,60 +1,25 @@
 """The helix detector against the poses that pictures were rendered from, and against pictures without the helix."""
 
 from dataclasses import replace
-from math import atan2, hypot, inf, pi
-from pathlib import Path
+from math import atan2, hypot
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from tracker_scenes import CLEAN, SHEETS, error_of, full_scene, pictures, square_of
 
-from coopslam.errors import BadInput
 from coopslam.records import BearingRangeFix
 from coopslam.se2 import Pose2, rotation, wrap, xytheta
 from tracker.background import Background
 from tracker.data_sheet import load_data_sheet
-from tracker.detector import Detection
-from tracker.detectors import make_detector
 from tracker.helix_detector import HelixDetector, HelixDetectorSettings
 from tracker.helix_search import HelixSearch
 from tracker.pyramid import pyramid_of
 from tracker.render import Occluder, RenderSettings, render, render_background, target_box
-from tracker.scene_light import Light
-from tracker.sensor import Sensor
-from tracker.tag_detector import TagDetector
 
-SHEETS = Path(__file__).parents[1] / "datasets" / "calibrations"
 SHEET = load_data_sheet(SHEETS / "helix_640x480.toml")
 CAMERA, HELIX = SHEET.camera, SHEET.helix
 DETECTOR = HelixDetector(CAMERA, HELIX)
-CLEAN = RenderSettings(sensor=Sensor(electrons_per_level=inf, vignetting=0.0))
-
-
-def scene(rng) -> RenderSettings:
-    """Some light, background and blur."""
-    light = Light(rng.uniform(0.3, 0.6), rng.uniform(0.1, 0.6), rng.uniform(-pi, pi), rng.uniform(0.2, 1.2))
-    sensor = Sensor(gain=rng.uniform(120, 230), defocus_px=rng.uniform(0.4, 1.0), motion_px=rng.uniform(0, 1.5))
-    return RenderSettings(light, Background(str(rng.choice(["plain", "gradient", "clutter"]))), sensor)
-
-
-def pictures(range_m: float, count: int):
-    """Random poses at a distance, and their pictures."""
-    for seed in range(count):
-        rng = np.random.default_rng(seed)
-        bearing = rng.uniform(-0.35, 0.35) if range_m > 1 else rng.uniform(-0.1, 0.1)
-        pose = Pose2(range_m * np.cos(bearing), range_m * np.sin(bearing), rng.uniform(-pi, pi))
-        yield pose, render(CAMERA, HELIX, pose, scene(rng), rng)
-
-
-def error_of(found: Detection, pose: Pose2) -> np.ndarray:
-    error = xytheta(found.T_observer_target) - xytheta(pose)
-    error[2] = wrap(error[2])
-    return error
-
-
-def square_of(found: Detection, pose: Pose2) -> float:
-    error = error_of(found, pose)
-    return float(error @ np.linalg.solve(found.cov_observer, error))
 
 
 def clean_picture(pose: Pose2, helix=HELIX, camera=CAMERA, settings=CLEAN) -> np.ndarray:
@@ -67,7 +32,7 @@ def clean_picture(pose: Pose2, helix=HELIX, camera=CAMERA, settings=CLEAN) -> np
 def test_range_bearing_and_heading(range_m, range_percent, heading_deg):
     """Medians of the demand (1 % at 3 m, 2.5 % at 6 m, 0.1 and 2 degrees) with much to spare, and an honest NEES."""
     squares, errors, missed = [], [], 0
-    for pose, picture in pictures(range_m, 30):
+    for pose, picture in pictures(SHEET, range_m, 0.35 if range_m > 1 else 0.1, 30):
         found = DETECTOR.detect(picture)
         if found is None:
             missed += 1
@@ -121,8 +86,7 @@ def test_several_stripes_turn_the_same_picture():
 def test_pictures_without_a_helix():
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        settings = replace(scene(rng), background=Background("clutter", things=30, marks=25, texture=0.1))
-        assert DETECTOR.detect(render_background(CAMERA, settings, rng)) is None
+        assert DETECTOR.detect(render_background(CAMERA, full_scene(rng), rng)) is None
 
 
 def test_other_targets_are_not_this_robot():
@@ -180,15 +144,6 @@ def test_a_heading_that_is_known_too_badly_is_withheld():
     assert isinstance(fix, BearingRangeFix) and fix.range_m == pytest.approx(hypot(3.0, 0.5), rel=1e-3)
 
 
-def test_the_noise_of_a_scene_scatters_no_more_than_its_covariance_says():
-    """40 pictures of one scene that differ in noise. Less is right: what is the same in all of them is said, too."""
-    pose, settings = Pose2(4.0, 0.6, 2.7), RenderSettings(background=Background("plain"))
-    found = [DETECTOR.detect(render(CAMERA, HELIX, pose, settings, np.random.default_rng(seed))) for seed in range(40)]
-    scatter = np.var([xytheta(each.T_observer_target) for each in found], axis=0, ddof=1)
-    said = np.mean([np.diag(each.cov_observer) for each in found], axis=0)
-    assert (scatter / said < chi2.ppf(0.9995, 39) / 39).all()
-
-
 def test_what_is_drawn_lies_on_the_target():
     pose = Pose2(3.0, 0.5, 1.0)
     lower, upper, *silhouettes = DETECTOR.detect(clean_picture(pose)).features_px
@@ -214,23 +169,3 @@ def test_candidates_of_the_search():
         assert abs(wrap(azimuth - HELIX.facing_azimuth_rad(pose, CAMERA.mount.forward_m))) < 0.7  # one step
     assert search.candidates(pyramid_of(both, search.levels), 1, 0.6)[0].score == found[0].score
     assert search.candidates(pyramid_of(np.full_like(both, 90), search.levels), 3, 0.3) == []
-
-
-@pytest.mark.parametrize(
-    "image", [np.zeros((480, 640)), np.zeros((10, 10), np.uint8), np.zeros((480, 640, 3), np.uint8), None]
-)
-def test_a_picture_of_another_kind_is_said_in_one_line(image):
-    with pytest.raises(
-        BadInput, match=r"^image: a picture of uint8 \(480, 640\) \(rows, columns\) expected, got [^\n]*$"
-    ):
-        DETECTOR.detect(image)
-
-
-def test_settings_name_the_field():
-    with pytest.raises(BadInput, match="explained_min: more than zero"):
-        HelixDetectorSettings(explained_min=0.0)
-
-
-def test_a_data_sheet_has_its_detector():
-    assert isinstance(make_detector(SHEET), HelixDetector)
-    assert isinstance(make_detector(load_data_sheet(SHEETS / "tag_cube_640x480.toml")), TagDetector)

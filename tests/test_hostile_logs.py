@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from mutations import damaged
-from replay_script import G2O, MRCLAM, PYFG, SCRIPTS, call_replay
+from mutations import damaged, mistaken
+from replay_script import G2O, MRCLAM, PYFG, call_replay
+from script_calls import SCRIPTS
 
 from coopslam.errors import CoopSlamError
 from coopslam.io.run_log import RunLogWriter
@@ -26,7 +27,6 @@ from coopslam.records import BearingRangeFix, LogHeader, Odometry
 from coopslam.se2 import Pose2
 
 ESTIMATORS = ("batch", "ekf", "incremental", "fixed-lag", "weighted", "dead-reckoning")
-_NUMBERS = [b"0", b"-1", b"3", b"1e-5", b"1e-12", b"1e-300", b"1e6", b"1e12", b"1e20", b"1e300", b"1000.5", b"1e11"]
 
 
 def replayed(log: Path, estimator: str = "batch", *options) -> tuple[int, str, dict | None]:
@@ -58,25 +58,6 @@ def edit(path: Path, change):
 
 
 # ---- any damage ----
-
-
-@st.composite
-def mistaken(draw, content: bytes) -> bytes:
-    """The content with one to three mistakes that leave its form: other numbers, lines lost or doubled."""
-    lines = [line.split() for line in content.split(b"\n")]
-    for _ in range(draw(st.integers(1, 3))):
-        at = draw(st.integers(0, len(lines) - 1))
-        match draw(st.sampled_from(["number", "number", "number", "lose", "double"])):
-            case "number" if lines[at]:
-                place = draw(st.integers(0, len(lines[at]) - 1))
-                if lines[at][place][:1].isdigit() or lines[at][place][:1] == b"-":
-                    lines[at] = [*lines[at][:place], draw(st.sampled_from(_NUMBERS)), *lines[at][place + 1 :]]
-            case "lose" if len(lines) > 6:
-                del lines[at : at + draw(st.integers(1, 5))]
-                lines = lines or [[]]
-            case "double":
-                lines.insert(draw(st.integers(0, len(lines))), lines[at])
-    return b"\n".join(b" ".join(words) for words in lines)
 
 
 @st.composite

@@ -79,8 +79,8 @@ def test_a_straight_edge_that_is_blurred(sigma_px):
 
 
 def test_the_same_edge_by_the_formula_of_a_continuous_blur():
-    """sum(gradient^2) = contrast^2 / (2 sqrt(pi) s), the integral of a squared Gaussian; a defocus of 2 pixels is smooth,
-    and the pixel's own width adds 1 / 12 to its variance. Tolerance as above.
+    """sum(gradient^2) = contrast^2 / (2 sqrt(pi) s), the integral of a squared Gaussian; a defocus of 2 pixels is
+    smooth, and the pixel's own width adds 1 / 12 to its variance. Tolerance as above.
     """
     gradient_sq = (100.0 * (LIGHT - DARK)) ** 2 * (1 / (2 * np.sqrt(pi * (4 + 1 / 12))) - 1 / WIDTH)
     expected = (FOCAL / BOARD_M) ** 2 * HEIGHT * gradient_sq / VARIANCE

@@ -3,26 +3,13 @@
 from pathlib import Path
 
 import pytest
-from explore_script import load, require_one_line
-from replay_script import PYFG, call_replay, without_seconds
+from replay_script import PYFG, call_replay, refused_replay, results_in
+from script_calls import load, without_seconds
 
 
 @pytest.fixture
 def replayed(tmp_path):
-    def replay(*arguments, out="out", code=0) -> Path:
-        assert call_replay(*arguments, "--figures", "none", "--out", tmp_path / out) == code
-        return tmp_path / out
-
-    return replay
-
-
-def refused(capsys, *arguments, words, code=2) -> str:
-    """The one line that an impossible call gives."""
-    capsys.readouterr()
-    assert call_replay(*arguments) == code
-    said = capsys.readouterr().err
-    require_one_line(said, *words)
-    return said
+    return results_in(tmp_path, call_replay)
 
 
 OWN = """
@@ -70,7 +57,7 @@ def test_a_reader_of_ones_own_replays_like_ours(replayed, tmp_path):
 )
 def test_whatever_a_reader_raises_is_one_line_that_names_it(capsys, tmp_path, where, statement, words):
     source = own(tmp_path, **{where: statement})
-    refused(capsys, PYFG, "--source", source, "--out", tmp_path / "out", words=["--source", "own.py", *words])
+    refused_replay(capsys, PYFG, "--source", source, "--out", tmp_path / "out", words=["--source", "own.py", *words])
 
 
 @pytest.mark.parametrize(
@@ -88,7 +75,7 @@ def test_whatever_a_reader_raises_is_one_line_that_names_it(capsys, tmp_path, wh
 def test_files_without_a_reader(capsys, tmp_path, text, words):
     (tmp_path / "own.py").write_text(text)
     source = f"{tmp_path / 'own.py'}:Reader"
-    refused(capsys, PYFG, "--source", source, "--out", tmp_path / "out", words=["--source", *words])
+    refused_replay(capsys, PYFG, "--source", source, "--out", tmp_path / "out", words=["--source", *words])
 
 
 @pytest.mark.parametrize(
@@ -105,4 +92,4 @@ def test_files_without_a_reader(capsys, tmp_path, text, words):
 )
 def test_a_log_of_other_things_is_refused(capsys, tmp_path, statement, words):
     source = own(tmp_path, read=statement)
-    refused(capsys, PYFG, "--source", source, "--out", tmp_path / "out", words=words)
+    refused_replay(capsys, PYFG, "--source", source, "--out", tmp_path / "out", words=words)

@@ -2,28 +2,24 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
+import figures as script
 import matplotlib.image
 import numpy as np
 import pytest
 import shapely
+from _exploration import Exploration, ExplorationSettings, explore, prepare
+from _exploration_output import view_of
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
+from script_calls import SCRIPTS
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
-
-import figures as script  # noqa: E402
-from _exploration import Exploration, ExplorationSettings, explore, prepare  # noqa: E402
-from _exploration_output import view_of  # noqa: E402
-
-from coopslam.exploration.mission import run_mission  # noqa: E402
-from coopslam.records import MoveNote, TriangleDecision, WallDecision  # noqa: E402
-from coopslam.report.paper_figures import draw_paths, draw_stages, draw_triangulated_world, embedded_graph  # noqa: E402
-from coopslam.report.run_view import Track  # noqa: E402
-from coopslam.report.stages import bifurcation, choose_stages  # noqa: E402
-from coopslam.report.story import Found, Story, StoryMove, story_of  # noqa: E402
+from coopslam.exploration.mission import run_mission
+from coopslam.records import MoveNote, TriangleDecision, WallDecision
+from coopslam.report.paper_figures import draw_paths, draw_stages, draw_triangulated_world, embedded_graph
+from coopslam.report.run_view import Track
+from coopslam.report.stages import bifurcation, choose_stages
+from coopslam.report.story import Found, Story, StoryMove, story_of
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ import explore_script
 import gtsam
 import numpy as np
 import pytest
-from explore_script import files_of, load, require_one_line
-from replay_script import G2O, MRCLAM, PYFG, SCRIPTS, call_replay, without_seconds
+from replay_script import G2O, MRCLAM, PYFG, call_replay, refused_replay, results_in
+from script_calls import SCRIPTS, files_of, full_disk_at, load, require_one_line, without_seconds
 
 from coopslam.estimation.estimators import NAMES
 from coopslam.io.g2o import read_g2o
@@ -35,20 +35,7 @@ def explored(tmp_path_factory):
 
 @pytest.fixture
 def replayed(tmp_path):
-    def replay(*arguments, out="out", code=0) -> Path:
-        assert call_replay(*arguments, "--figures", "none", "--out", tmp_path / out) == code
-        return tmp_path / out
-
-    return replay
-
-
-def refused(capsys, *arguments, words, code=2) -> str:
-    """The one line that an impossible call gives."""
-    capsys.readouterr()
-    assert call_replay(*arguments) == code
-    said = capsys.readouterr().err
-    require_one_line(said, *words)
-    return said
+    return results_in(tmp_path, call_replay)
 
 
 # ---- what a replay leaves ----
@@ -192,7 +179,7 @@ def test_a_replay_of_a_pose_graph_of_a_replay(replayed):
 def test_results_are_left_alone_without_force(replayed, capsys):
     out = replayed(PYFG)
     before = files_of(out)
-    refused(capsys, PYFG, "--out", out, words=["--out", "--force"])
+    refused_replay(capsys, PYFG, "--out", out, words=["--out", "--force"])
     assert files_of(out) == before
 
 
@@ -216,12 +203,12 @@ def test_a_log_is_never_overwritten_by_its_replay(explored, capsys, tmp_path):
     run = Path(shutil.copytree(explored, tmp_path / "run"))
     before = files_of(run)
     for log in (run, run / "log.mcap"):
-        refused(capsys, log, "--out", run, "--force", "--figures", "none", words=["--out", "another directory"])
+        refused_replay(capsys, log, "--out", run, "--force", "--figures", "none", words=["--out", "another directory"])
     assert files_of(run) == before
     assert call_replay(PYFG, "--out", tmp_path / "out") == 0
     graph = tmp_path / "out" / "pose_graph.g2o"
     before = files_of(tmp_path / "out")
-    refused(capsys, graph, "--out", tmp_path / "out", "--force", words=["--out", "another directory"])
+    refused_replay(capsys, graph, "--out", tmp_path / "out", "--force", words=["--out", "another directory"])
     assert files_of(tmp_path / "out") == before
 
 
@@ -229,7 +216,7 @@ def test_a_calibration_beside_the_results_is_kept_while_it_is_used(replayed, cap
     out = replayed(MRCLAM, "--calibrate")
     before = files_of(out)
     arguments = ("--force", "--calibration", out / "calibration.toml", "--out", out)
-    refused(capsys, MRCLAM, *arguments, words=["calibration.toml", "another directory"])
+    refused_replay(capsys, MRCLAM, *arguments, words=["calibration.toml", "another directory"])
     assert files_of(out) == before
     replayed(MRCLAM, "--force")
     assert not (out / "calibration.toml").exists()  # it would pass for what was used
@@ -245,22 +232,15 @@ def test_without_out_each_replay_has_a_new_directory(tmp_path, monkeypatch):
 def test_where_nothing_can_be_written(capsys, tmp_path):
     (tmp_path / "file").write_text("")
     for out in (tmp_path / "file", tmp_path / "file" / "below", "/proc/none", tmp_path / ("x" * 300)):
-        refused(capsys, PYFG, "--out", out, words=["--out"])
+        refused_replay(capsys, PYFG, "--out", out, words=["--out"])
 
 
 @pytest.mark.parametrize(("blocked", "code"), [("config.toml", 2), ("map.geojson", 3), ("pose_graph.g2o", 3)])
 def test_a_disk_that_fails_on_the_way(capsys, tmp_path, monkeypatch, blocked, code):
     """Before an estimator has run that is 2, afterwards 3; what was written until then stays."""
-    real = Path.write_text
-
-    def fails(path, *arguments, **options):
-        if path.name == blocked:
-            raise OSError(28, "No space left on device")
-        return real(path, *arguments, **options)
-
-    monkeypatch.setattr(Path, "write_text", fails)
+    full_disk_at(monkeypatch, blocked)
     arguments = (PYFG, "--figures", "none", "--out", tmp_path / "out")
-    refused(capsys, *arguments, words=["--out", "No space left on device"], code=code)
+    refused_replay(capsys, *arguments, words=["--out", "No space left on device"], code=code)
     assert (tmp_path / "out" / "summary.json").exists() == (code == 3)
 
 
@@ -296,7 +276,7 @@ def test_a_disk_that_fails_on_the_way(capsys, tmp_path, monkeypatch, blocked, co
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(capsys, tmp_path, arguments, words):
-    refused(capsys, *arguments, *(["--out", tmp_path / "out"] if arguments else []), words=words)
+    refused_replay(capsys, *arguments, *(["--out", tmp_path / "out"] if arguments else []), words=words)
     assert not (tmp_path / "out").exists()
 
 
@@ -314,7 +294,7 @@ def test_what_cannot_be_is_refused_in_one_line(capsys, tmp_path, arguments, word
 def test_a_wrong_config_is_named(capsys, tmp_path, text, words):
     config = tmp_path / "c.toml"
     config.write_text(text)
-    refused(capsys, PYFG, "--config", config, "--out", tmp_path / "out", words=[*words, "c.toml"])
+    refused_replay(capsys, PYFG, "--config", config, "--out", tmp_path / "out", words=[*words, "c.toml"])
 
 
 # ---- as processes ----

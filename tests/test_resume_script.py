@@ -4,7 +4,8 @@ import json
 import shutil
 
 import pytest
-from explore_script import call, load, require_one_line, summary_of
+from explore_script import call, summary_of
+from script_calls import load, require_one_line
 
 from coopslam.io.run_log import read_run_log
 

@@ -8,17 +8,14 @@ from math import radians
 from pathlib import Path
 
 import pytest
+from _study import is_success, key_of, load_study
+from script_calls import SCRIPTS
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
-
-from _study import is_success, key_of, load_study  # noqa: E402
-
-from coopslam.errors import BadInput  # noqa: E402
-from coopslam.io.toml import from_mapping  # noqa: E402
-from coopslam.report.study_panels import wilson  # noqa: E402
-from sim.noise import LEGGED, PRESETS, TYPICAL  # noqa: E402
-from sim.world import load_world, world_names  # noqa: E402
+from coopslam.errors import BadInput
+from coopslam.io.toml import from_mapping
+from coopslam.report.study_panels import wilson
+from sim.noise import LEGGED, PRESETS, TYPICAL
+from sim.world import load_world, world_names
 
 HEAD = 'name = "s"\nseeds = 2\nworlds = ["paper_one_obstacle"]\n'
 

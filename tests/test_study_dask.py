@@ -1,16 +1,14 @@
 """A study on a Dask cluster whose worker is killed: no run is lost, none is counted twice."""
 
-import csv
 import json
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
+from script_calls import SCRIPTS, rows_of
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
 STUDY = """
 name = "small"
 seeds = 12
@@ -18,11 +16,6 @@ worlds = ["symmetric_cross"]
 [axes]
 noise = ["typical", "legged"]
 """
-
-
-def rows_of(out: Path) -> list[dict]:
-    with open(out / "results.csv", newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def wait_for(condition, seconds: float = 60.0) -> None:
@@ -52,16 +45,16 @@ def test_a_killed_dask_worker_loses_nothing(tmp_path):
         command = [sys.executable, str(SCRIPTS / "sweep.py"), str(study), "--out", str(out), "--dask", address]
         sweeping = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         started.append(sweeping)
-        wait_for(lambda: (out / "results.csv").exists() and len(rows_of(out)) >= 4)
+        wait_for(lambda: (out / "results.csv").exists() and len(rows_of(out / "results.csv")) >= 4)
         started[1].kill()
-        done_before = len(rows_of(out))
+        done_before = len(rows_of(out / "results.csv"))
         said, wrong = sweeping.communicate(timeout=180)
         assert sweeping.returncode == 0, wrong
     finally:
         for process in started:
             process.kill()
             process.wait()
-    rows = rows_of(out)
+    rows = rows_of(out / "results.csv")
     print(f"killed after {done_before} of {len(rows)} rows\n{said}")
     assert done_before < 24 == len(rows) == len({row["key"] for row in rows})
     assert all(row["outcome"] == "complete" for row in rows)

@@ -1,6 +1,5 @@
 """The directory of a study: faults of the file system in one line, one study in it, and no trace of a sweep ended."""
 
-import csv
 import ctypes
 import os
 import re
@@ -11,12 +10,8 @@ import time
 from pathlib import Path
 
 import pytest
-
-SCRIPTS = Path(__file__).parents[1] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
-
-import sweep  # noqa: E402
-from _cli import run  # noqa: E402
+import sweep
+from script_calls import SCRIPTS, exit_code, require_one_line, rows_of
 
 STUDY = """
 name = "small"
@@ -51,20 +46,7 @@ def made(monkeypatch) -> list[str]:
 
 def call(*arguments) -> int:
     """Exit code of the script in this process."""
-    try:
-        return run(sweep.main, [str(argument) for argument in arguments])
-    except SystemExit as end:
-        return end.code
-
-
-def rows_of(out: Path) -> list[dict]:
-    with open(out / "results.csv", newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
-def require_one_line(said: str, *words: str) -> None:
-    assert said.endswith("\n") and len(said.splitlines()) == 1, said
-    assert "Traceback" not in said and [word for word in words if word not in said] == [], said
+    return exit_code(sweep.main, *arguments)
 
 
 @pytest.mark.parametrize("name", ["sweep.lock", "study.toml", "results.new", "study.new", "results.csv"])
@@ -90,7 +72,7 @@ def test_a_figure_that_cannot_be_replaced(tmp_path, study, made, capsys):
     assert call(study, "--out", tmp_path / "out") == 2
     said = capsys.readouterr()
     require_one_line(said.err, "study_noise.png", "cannot be written")
-    assert "medians over the runs" in said.out and len(rows_of(tmp_path / "out")) == 4
+    assert "medians over the runs" in said.out and len(rows_of(tmp_path / "out" / "results.csv")) == 4
 
 
 def obey_permissions() -> None:
@@ -134,7 +116,8 @@ def test_another_study_is_added_on_demand_only(tmp_path, study, made, capsys):
     assert (out / "results.csv").read_bytes() == before and len(made) == 4
     assert call(other, "--out", out, "--force") == 0
     assert (out / "results.csv").read_bytes().startswith(before)
-    assert sorted(row["noise"] for row in rows_of(out)) == ["legged"] * 2 + ["none"] * 2 + ["typical"] * 2
+    noise = sorted(row["noise"] for row in rows_of(out / "results.csv"))
+    assert noise == ["legged"] * 2 + ["none"] * 2 + ["typical"] * 2
     assert call(other, "--out", out) == 0 and len(made) == 6
 
 
@@ -164,7 +147,7 @@ def test_sigterm_leaves_what_is_done_and_nothing_else(tmp_path, study):
     sweeping = subprocess.Popen(command, env=environment, **quiet)
     try:
         end = time.monotonic() + 60
-        while not ((out / "results.csv").exists() and len(rows_of(out)) >= 2):
+        while not ((out / "results.csv").exists() and len(rows_of(out / "results.csv")) >= 2):
             assert time.monotonic() < end and sweeping.poll() is None
             time.sleep(0.1)
         assert [path.name for path in scratch.iterdir() if path.name.startswith("coopslam-sweep-")] != []
@@ -176,5 +159,5 @@ def test_sigterm_leaves_what_is_done_and_nothing_else(tmp_path, study):
     assert sweeping.returncode == 130
     require_one_line(said, "interrupted")
     assert [path.name for path in scratch.iterdir() if re.match("coopslam-sweep-|run-", path.name)] == []
-    assert 2 <= len(rows_of(out)) < 1000
+    assert 2 <= len(rows_of(out / "results.csv")) < 1000
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL

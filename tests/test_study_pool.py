@@ -6,13 +6,8 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-
-SCRIPTS = Path(__file__).parents[1] / "scripts"
-if str(SCRIPTS) not in os.sys.path:
-    os.sys.path.insert(0, str(SCRIPTS))
-
-from _study_crash import CRASH  # noqa: E402
-from _study_pool import ONE_THREAD, RETRIES, processors, run_in_pool  # noqa: E402
+from _study_crash import CRASH
+from _study_pool import ONE_THREAD, RETRIES, processors, run_in_pool
 
 
 def jobs(count: int, **more) -> list[dict]:

@@ -1,16 +1,11 @@
 """results.csv: a torn last line is dropped, whatever else is wrong with it is said with its line, nothing is lost."""
 
-import sys
 from pathlib import Path
 
 import pytest
+from _study_table import IDENTITY, RESULTS, WORLD_SIZE, ResultsTable
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
-
-from _study_table import IDENTITY, RESULTS, WORLD_SIZE, ResultsTable  # noqa: E402
-
-from coopslam.errors import BadInput  # noqa: E402
+from coopslam.errors import BadInput
 
 COLUMNS = [*IDENTITY, "an axis", *WORLD_SIZE, *RESULTS]
 BOM = b"\xef\xbb\xbf"

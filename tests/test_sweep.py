@@ -1,6 +1,5 @@
 """scripts/sweep.py: a study from its file to table and figures, and what may happen to it on the way."""
 
-import csv
 import json
 import os
 import re
@@ -10,16 +9,12 @@ import tomllib
 from pathlib import Path
 
 import pytest
-
-SCRIPTS = Path(__file__).parents[1] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
-
-import sweep  # noqa: E402
-from _cli import run  # noqa: E402
-from _exploration import prepare  # noqa: E402
-from _study import load_study  # noqa: E402
-from _study_files import only_sweep  # noqa: E402
-from _study_run import job_of, run_job  # noqa: E402
+import sweep
+from _exploration import prepare
+from _study import load_study
+from _study_files import only_sweep
+from _study_run import job_of, run_job
+from script_calls import SCRIPTS, exit_code, require_one_line, rows_of
 
 STUDY = """
 name = "small"
@@ -35,10 +30,7 @@ noise = ["typical", "legged"]
 
 def call(*arguments) -> int:
     """Exit code of the script in this process."""
-    try:
-        return run(sweep.main, [str(argument) for argument in arguments])
-    except SystemExit as end:
-        return end.code
+    return exit_code(sweep.main, *arguments)
 
 
 def at_once(jobs, processes, run):
@@ -69,18 +61,8 @@ def here(monkeypatch):
     return made
 
 
-def rows_of(out: Path) -> list[dict]:
-    with open(out / "results.csv", newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 def timeless(rows: list[dict]) -> list[dict]:
     return sorted(({k: v for k, v in row.items() if k != "seconds"} for row in rows), key=lambda row: row["key"])
-
-
-def require_one_line(said: str, *words: str) -> None:
-    assert said.endswith("\n") and len(said.splitlines()) == 1, said
-    assert "Traceback" not in said and [word for word in words if word not in said] == [], said
 
 
 def test_a_study_in_one_and_two_processes(tmp_path, study, capsys):
@@ -88,11 +70,10 @@ def test_a_study_in_one_and_two_processes(tmp_path, study, capsys):
     study.write_text(STUDY.replace("budget.moves = 4", ""), encoding="utf-8")
     for processes in (1, 2):
         assert call(study, "--out", tmp_path / str(processes), "--processes", processes) == 0
-    first, second = (rows_of(tmp_path / name) for name in "12")
+    first, second = (rows_of(tmp_path / name / "results.csv") for name in "12")
     assert timeless(first) == timeless(second)
-    assert [(row["noise"], row["seed"]) for row in timeless(first)].sort() == [
-        (noise, seed) for noise in ("typical", "legged") for seed in "01"
-    ].sort()
+    varied = sorted((row["noise"], row["seed"]) for row in first)
+    assert varied == [(noise, seed) for noise in ("legged", "typical") for seed in "01"]
     assert all(row["outcome"] == "complete" and row["success"] == "true" for row in first)
     assert all(float(row["world_vertices"]) == 12 and float(row["world_holes"]) == 0 for row in first)
     ate = {row["noise"]: float(row["dead-reckoning.ate_rmse_m"]) for row in first}
@@ -106,7 +87,7 @@ def test_it_continues_after_an_interruption(tmp_path, study, here, capsys):
     out = tmp_path / "out"
     assert call(study, "--out", out) == 0
     whole = (out / "results.csv").read_bytes()
-    before, lines = rows_of(out), whole.splitlines(keepends=True)
+    before, lines = rows_of(out / "results.csv"), whole.splitlines(keepends=True)
     assert len(here) == len(before) == 4
     for left in (whole[:-9], b"".join(lines[:2]) + lines[3][:40], lines[0][:20], b""):
         (out / "results.csv").write_bytes(left)
@@ -114,7 +95,7 @@ def test_it_continues_after_an_interruption(tmp_path, study, here, capsys):
         kept = sum(line in left for line in lines[1:])
         assert call(study, "--out", out) == 0
         assert len(here) == 4 - kept
-        assert timeless(rows_of(out)) == timeless(before)
+        assert timeless(rows_of(out / "results.csv")) == timeless(before)
     here.clear()
     assert call(out / "study.toml", "--out", out) == 0 and here == []
     assert "torn" in capsys.readouterr().out
@@ -127,7 +108,7 @@ def test_a_changed_study_extends_the_table(tmp_path, study, here):
     study.write_text(STUDY.split("[axes]")[0] + changed, encoding="utf-8")
     here.clear()
     assert call(study, "--out", out) == 0
-    rows = rows_of(out)
+    rows = rows_of(out / "results.csv")
     assert len(here) == 2 and len(rows) == 6  # the default speed is 0.5 m/s; legged rows stay
     speeds = sorted((row["noise"], row["team.speed_m_per_s"]) for row in rows)
     assert speeds == [("legged", "")] * 2 + [("typical", "0.5")] * 2 + [("typical", "1.0")] * 2
@@ -145,13 +126,13 @@ def test_a_crash_is_a_row_and_not_the_end(tmp_path, study, monkeypatch, here, ca
     out = tmp_path / "out"
     assert call(study, "--out", out) == 3
     require_one_line(capsys.readouterr().err, "2 of 4 runs crashed", "in two lines")
-    rows = rows_of(out)
+    rows = rows_of(out / "results.csv")
     assert [(row["seed"], row["outcome"]) for row in rows] == [("0", "budget")] * 2 + [("1", "crash")] * 2
     assert all(row["world_vertices"] == "12" and row["success"] == "false" for row in rows)
     monkeypatch.setattr("_study_run.prepare", prepare)
     assert call(study, "--out", out) == 3
     assert call(study, "--out", out, "--retry-crashed") == 0
-    assert [row["outcome"] for row in rows_of(out)] == ["budget"] * 4 and len(here) == 6
+    assert [row["outcome"] for row in rows_of(out / "results.csv")] == ["budget"] * 4 and len(here) == 6
 
 
 def die_once(job: dict) -> dict:
@@ -170,8 +151,8 @@ def test_a_killed_worker_loses_nothing(tmp_path, study, monkeypatch):
     out = tmp_path / "out"
     assert call(study, "--out", out, "--processes", 1) == 0
     assert (tmp_path / "died").exists()
-    assert [row["outcome"] for row in rows_of(out)] == ["budget"] * 4
-    assert len({row["key"] for row in rows_of(out)}) == 4
+    assert [row["outcome"] for row in rows_of(out / "results.csv")] == ["budget"] * 4
+    assert len({row["key"] for row in rows_of(out / "results.csv")}) == 4
 
 
 def test_a_run_is_kept_on_request_and_own_worlds_travel(tmp_path, study, here):
@@ -181,7 +162,7 @@ def test_a_run_is_kept_on_request_and_own_worlds_travel(tmp_path, study, here):
     study.write_text(STUDY.replace("symmetric_cross", "mine.geojson").replace("seeds = 2", "seeds = [7]"), "utf-8")
     out = tmp_path / "out"
     assert call(study, "--out", out, "--keep-runs") == 0
-    for row in rows_of(out):
+    for row in rows_of(out / "results.csv"):
         summary = json.loads((out / "runs" / row["key"] / "summary.json").read_text(encoding="utf-8"))
         assert (row["world"], summary["seed"], row["outcome"]) == ("mine", 7, summary["outcome"])
         assert float(row["batch.ate_rmse_m"]) == summary["estimators"]["batch"]["ate_rmse_m"]
@@ -255,7 +236,7 @@ def test_an_interrupt_keeps_what_is_done(tmp_path, study, monkeypatch, here, cap
     out = tmp_path / "out"
     assert call(study, "--out", out) == 130
     require_one_line(capsys.readouterr().err, "interrupted")
-    assert len(rows_of(out)) == 1
+    assert len(rows_of(out / "results.csv")) == 1
 
 
 def test_without_dask_or_scheduler_it_says_so_in_one_line(tmp_path, study, monkeypatch, capsys):

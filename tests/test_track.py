@@ -1,44 +1,22 @@
 """track.py on pictures of render_tracker.py, as black boxes: records against truth; what is wrong, in one line."""
 
-import csv
 import json
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import render_tracker
+import track
+from script_calls import exit_code, require_one_line, rows_of
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-
-import render_tracker  # noqa: E402
-import track  # noqa: E402
-from _cli import run  # noqa: E402
-
-from coopslam.io.run_log import read_run_log  # noqa: E402
-from coopslam.records import BearingRangeFix, RelativePoseFix  # noqa: E402
-from coopslam.se2 import xytheta  # noqa: E402
-from tracker.sheets import SHEETS_DIR  # noqa: E402
+from coopslam.io.run_log import read_run_log
+from coopslam.records import BearingRangeFix, RelativePoseFix
+from coopslam.se2 import xytheta
+from tracker.sheets import SHEETS_DIR
 
 FRAMES = 8
 KINDS = ["helix", "tag_cube"]
-
-
-def call(main, *arguments) -> int:
-    try:
-        return run(main, [str(argument) for argument in arguments])
-    except SystemExit as end:
-        return end.code
-
-
-def rows_of(path: Path) -> list[dict]:
-    with path.open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
-
-
-def require_one_line(said: str, *words: str) -> None:
-    assert said.endswith("\n") and len(said.splitlines()) == 1, said
-    assert "Traceback" not in said and [word for word in words if word not in said] == [], said
 
 
 @pytest.fixture(scope="module", params=KINDS)
@@ -46,15 +24,15 @@ def tracked(request, tmp_path_factory) -> tuple[str, Path, Path]:
     """(data sheet, pictures, what was tracked in them)"""
     sheet, folder = f"{request.param}_640x480", tmp_path_factory.mktemp(request.param)
     pictures, out = folder / "pictures", folder / "out"
-    assert call(render_tracker.main, "--sheet", sheet, "--out", pictures, "--frames", FRAMES) == 0
-    assert call(track.main, pictures, "--sheet", sheet, "--out", out, "--stamps", pictures / "truth.csv") == 0
+    assert exit_code(render_tracker.main, "--sheet", sheet, "--out", pictures, "--frames", FRAMES) == 0
+    assert exit_code(track.main, pictures, "--sheet", sheet, "--out", out, "--stamps", pictures / "truth.csv") == 0
     return sheet, pictures, out
 
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("cube") / "pictures"
-    assert call(render_tracker.main, "--sheet", SHEET, "--out", folder, "--frames", 4) == 0
+    assert exit_code(render_tracker.main, "--sheet", SHEET, "--out", folder, "--frames", 4) == 0
     return folder
 
 
@@ -132,7 +110,7 @@ def test_a_video_is_tracked_like_its_pictures(pictures, tmp_path):
     for path in sorted(pictures.glob("*.png")):
         writer.write(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
     writer.release()
-    assert call(track.main, film, "--sheet", SHEET, "--out", tmp_path / "out") == 0
+    assert exit_code(track.main, film, "--sheet", SHEET, "--out", tmp_path / "out") == 0
     rows, truth = rows_of(tmp_path / "out" / "records.csv"), rows_of(pictures / "truth.csv")
     assert [float(row["stamp_s"]) for row in rows] == [0.0, 0.2, 0.4, 0.6]
     for row, true in zip(rows, truth, strict=True):  # JPEG adds errors that the detector does not expect
@@ -146,7 +124,7 @@ def test_a_video_that_breaks_off_is_said(pictures, tmp_path, capsys):
         writer.write(cv2.imread(str(pictures / "frame_00000.png"), cv2.IMREAD_GRAYSCALE))
     writer.release()
     film.write_bytes(film.read_bytes()[: film.stat().st_size // 2])
-    assert call(track.main, film, "--sheet", SHEET, "--out", tmp_path / "out") == 2
+    assert exit_code(track.main, film, "--sheet", SHEET, "--out", tmp_path / "out") == 2
     require_one_line(capsys.readouterr().err, "drive.avi frame 4 of 8", "cannot be read", "4 pictures before it")
     assert len(rows_of(tmp_path / "out" / "records.csv")) == 4
 
@@ -161,7 +139,7 @@ def test_images_come_in_natural_order(pictures, tmp_path):
         (folder / name).write_bytes(data)
     cv2.imwrite(str(folder / "shot9.png"), np.full((480, 640), 90, np.uint8))
     arguments = ["--sheet", SHEET, "--fps", 4, "--observer", "ann", "--target", "bob", "--out", tmp_path / "out"]
-    assert call(track.main, folder, *arguments) == 0
+    assert exit_code(track.main, folder, *arguments) == 0
     rows = rows_of(tmp_path / "out" / "records.csv")
     assert [(row["image"], row["stamp_s"], row["found"]) for row in rows] == [
         ("shot2.png", "0.0", "pose"),
@@ -193,13 +171,13 @@ def test_a_bad_picture_stops_the_run_and_loses_nothing(bad, words, pictures, tmp
     if bad == "small":
         bad = cv2.imencode(".png", np.zeros((240, 320), np.uint8))[1].tobytes()
     (folder / "frame_00002.png").write_bytes(bad)
-    assert call(track.main, folder, "--sheet", SHEET, "--out", out) == 2
+    assert exit_code(track.main, folder, "--sheet", SHEET, "--out", out) == 2
     require_one_line(capsys.readouterr().err, *words, "2 pictures before it")
     assert len(read_run_log(out / "log.mcap")[1]) == len(rows_of(out / "records.csv")) == 2
     assert (out / "figures" / "track.png").is_file() and (out / "summary.json").is_file()
-    assert call(track.main, folder, "--sheet", SHEET, "--out", out) == 2
+    assert exit_code(track.main, folder, "--sheet", SHEET, "--out", out) == 2
     require_one_line(capsys.readouterr().err, "already holds a run")
-    assert call(track.main, folder, "--sheet", SHEET, "--out", out, "--force", "--skip-unreadable") == 0
+    assert exit_code(track.main, folder, "--sheet", SHEET, "--out", out, "--force", "--skip-unreadable") == 0
     assert "1 could not be used" in capsys.readouterr().out
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert summary["images"] == 3 and summary["unreadable"] == ["frame_00002.png"]
@@ -232,6 +210,6 @@ def test_what_is_wrong_is_said_in_one_line(arguments, words, pictures, tmp_path,
         (tmp_path / f"{name}.csv").write_text("\n".join(["file,stamp_s", *lines, ""]), encoding="utf-8")
     places = {"tmp": tmp_path, "pictures": pictures}
     arguments = [argument.format(**places) for argument in arguments]
-    assert call(track.main, *arguments, "--out", tmp_path / "out") == 2
+    assert exit_code(track.main, *arguments, "--out", tmp_path / "out") == 2
     require_one_line(capsys.readouterr().err, *words)
     assert not (tmp_path / "out").exists()

@@ -201,7 +201,7 @@ def test_times_are_those_of_the_methods():
 
     methods = {"busy": busy, "asleep": lambda image: time.sleep(4e-3)}
     spent = tracker_time.timed(methods, [np.zeros((2, 2), np.uint8)] * 3, 5, np.random.default_rng(0))
-    assert ((4.0 <= spent[:, 0]) & (spent[:, 0] < 8.0)).all()
+    assert ((spent[:, 0] >= 4.0) & (spent[:, 0] < 8.0)).all()
     assert (spent[:, 1] < 1.0).all()
 
 

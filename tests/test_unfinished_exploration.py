@@ -8,7 +8,9 @@ import sys
 import gtsam
 import networkx as nx
 import pytest
-from explore_script import BARE, DRIVERS, FILES, SCRIPTS, call, load, require_one_line
+from _exploration import DRIVERS
+from explore_script import BARE, FILES, call
+from script_calls import SCRIPTS, load, require_one_line
 
 from coopslam.errors import UnderDetermined
 from coopslam.io.run_log import read_run_log

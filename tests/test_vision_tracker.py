@@ -7,8 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from explore_script import call, load, require_one_line, summary_of
+from explore_script import call, summary_of
 from scipy.stats import binom, chi2
+from script_calls import load, require_one_line
 
 from coopslam.errors import BadInput
 from coopslam.io.run_log import read_run_log

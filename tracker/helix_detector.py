@@ -37,12 +37,13 @@ class HelixDetectorSettings:
     farthest_m: float = 11.0  # that is looked for
     candidates: int = 3  # places that are fitted, at most
     score_min: float = 0.6  # correlation coefficient of a candidate
-    explained_min: float = 0.955  # share of the picture's variance on the target that the prediction explains
-    fitting_min: float = 0.92  # share of the target's pixels that are no outliers
+    # The next two, and `alike_max`: what one in a hundred targets misses of which nothing is hidden.
+    explained_min: float = 0.98  # share of the picture's variance on the target that the prediction explains
+    fitting_min: float = 0.965  # share of the target's pixels that are no outliers
     pixels_min: int = 150  # of the target; what few of them show may be chance
     contrast_min: float = 10.0  # grey levels between light and dark
     darkness_min: float = 0.68  # light less dark, in light: 0.94 for the data sheets' paint without any haze
-    alike_max: float = 0.65  # correlation of neighbouring residuals: of noise zero, at halved pictures 0.4
+    alike_max: float = 0.5  # correlation of neighbouring residuals: of noise zero, at halved pictures 0.4
     beside_max: float = 0.65  # correlation of what is beside the silhouette with what is within, row by row
     blur_ratio_max: float = 2.6  # of the blur to the one that is expected, either way
     range_sigma_max: float = 0.05  # share of the range
@@ -53,10 +54,9 @@ class HelixDetectorSettings:
             require_positive(**{name: getattr(self, name)})
 
 
-# Where only a part of the target is looked at, less speaks for it.
+# Where only a part of the target is looked at, less speaks for it, and an edge of what hides the rest may fit as well.
 PART_SETTINGS = HelixDetectorSettings(
-    explained_min=0.975,
-    alike_max=0.6,
+    pixels_min=450,
     blur_ratio_max=1.6,
     range_sigma_max=0.01,
     heading_sigma_max_rad=0.06,
@@ -99,9 +99,8 @@ class HelixDetector:
         fitting = last.fitting[on]
         if len(fitting) < limits.pixels_min or fitting.mean() < limits.fitting_min or range_m > limits.farthest_m:
             return False
-        residual, grey = last.residual[on][fitting], fit.pixels.grey[on][fitting]
         contrast, dark = float(np.median(last.contrast[on])), float(np.median(last.dark[on]))
-        missed = float(np.mean(residual**2)) / max(float(np.var(grey)), 1e-9)
+        missed = _missed(fit)
         return (
             contrast > limits.contrast_min
             and contrast > limits.darkness_min * (contrast + dark)
@@ -162,6 +161,12 @@ def _between(one: Pose2, other: Pose2) -> np.ndarray:
 def _is_turned(fit: HelixFit, limits: HelixDetectorSettings) -> bool:
     """Whether the fit knows the heading."""
     return bool(fit.cov[2, 2] <= limits.heading_sigma_max_rad**2)
+
+
+def _missed(fit: HelixFit) -> float:
+    """Share of the picture's variance on the target that the prediction does not explain, outliers aside."""
+    on = (fit.last.shown.cover > 0.5) & fit.last.fitting
+    return float(np.mean(fit.last.residual[on] ** 2)) / max(float(np.var(fit.pixels.grey[on])), 1e-9)
 
 
 def alike_along(fit: HelixFit) -> float:

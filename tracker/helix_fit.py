@@ -2,10 +2,9 @@
 
 Gauss-Newton finds the axis, the heading and the blur, first in a coarse picture, then in a fine one, with weights that
 fall for what the target cannot be (Huber 1981). The covariance is that of independent pixels, scaled by their
-residuals, and by what sandwiches (White 1980) exceed it: one with the pixels of half a row as a cluster, which share
-how the row lies to an edge; one with columns as clusters, which share how they lie to the silhouette and to the light;
-one with the two limbs and the two halves between them, which show when something beside the target pulls at it. The
-excesses are variances of different causes, so they add.
+residuals, or by what a sandwich (White 1980) exceeds it, where one does: with the pixels of half a row as a cluster,
+which share how the row lies to an edge; with columns as clusters, which share how they lie to the silhouette and to
+the light; with the two limbs and the two halves between them, which show when something beside the target pulls at it.
 """
 
 from dataclasses import dataclass
@@ -32,6 +31,7 @@ LIMB_SINE = 0.85  # of the angle from the facing generator, from which on it is 
 PLAUSIBLE = 0.6  # share of the variance that a coarse fit explains
 DARKNESS = 0.7  # light less dark, in dark, at least
 MARGIN_PX = 4  # around the target
+LEAST_SCALE = 0.2  # of the variance by the residuals: few of them may be small by chance
 PARAMETERS = 15  # that are fitted, those of the light included
 ROW_PARAMETERS, COLUMN_PARAMETERS = 8, 9  # of them, that rows and that columns tell apart (MacKinnon and White 1985)
 
@@ -106,10 +106,10 @@ def pixels_of(sought: Sought, level: int, axis: np.ndarray, part: Part) -> Pixel
 
 def _descended(sought: Sought, pixels: Pixels, level: int, state: State, noise: Noise, floors, steps: int):
     """State, linearization and noise after Gauss-Newton; None when it leads astray."""
-    expected, distance = None, float(np.hypot(*state.axis))
+    last, distance = None, float(np.hypot(*state.axis))
     for step in range(steps):
-        last = linearized(pixels, sought.helix, sought.camera.mount.height_m, state, noise, expected, level)
-        expected, noise = last.expected, noise_of(last)
+        last = linearized(pixels, sought.helix, sought.camera.mount.height_m, state, noise, last, level)
+        noise = noise_of(last)
         if step < len(floors):
             floor = (floors[step] * float(np.median(np.abs(last.contrast)))) ** 2
             noise = Noise(max(noise.dark, floor), noise.slope)
@@ -142,7 +142,7 @@ def _covariance(pixels: Pixels, state: State, last: Linearized, level: int) -> n
     inverse, share = np.linalg.inv(last.normal), pyramid_noise(level)
     squares = last.weights * last.residual**2
     dof = len(squares) - PARAMETERS - 0.5 * len(pixels.starts)  # a half row's own level is seen by half of them
-    plain = inverse[:3, :3] * (max(float(squares.sum()) / dof, 0.5) * share)
+    plain = inverse[:3, :3] * (max(float(squares.sum()) / dof, LEAST_SCALE) * share)
     ahead = state.axis / np.hypot(*state.axis)
     sight = np.array([[*ahead, 0.0], [-ahead[1], ahead[0], 0.0], [0.0, 0.0, 1.0]])
     expected = np.diag(sight @ plain @ sight.T)
@@ -161,7 +161,7 @@ def _covariance(pixels: Pixels, state: State, last: Linearized, level: int) -> n
     for sums, lost in ((by_row, ROW_PARAMETERS), (by_column, COLUMN_PARAMETERS), (by_part, 0)):
         few = sums.shape[1] / max(sums.shape[1] - lost, lost, 1)
         ratios.append(few * np.sum((sight @ (inverse @ sums)[:3]) ** 2, axis=1) / expected)
-    stretch = np.sqrt(1 + sum(np.maximum(ratio - 1, 0.0) for ratio in ratios))
+    stretch = np.sqrt(np.maximum(1.0, np.max(ratios, axis=0)))
     turn = sight.T @ (stretch[:, None] * sight)
     cov = turn @ plain @ turn.T
     return (cov + cov.T) / 2

@@ -21,6 +21,7 @@ LEAST_VARIANCE = 1 / 12  # of a grey level: it is rounded
 QUANTILE, QUANTILE_SIGMAS = 0.25, 0.31864  # of a normal distribution's absolute values
 LEAST_PIXELS = 20
 BESIDE_SIGMA = 100.0  # grey levels: what is beside the target
+BETWEEN = 2.0  # of half a row's variance: what its level differs from the neighbours'
 UNEVEN = 8.0  # what is beside a half row varies by more than is left after its mean is taken
 CORNER_GREY = 0.05  # of the contrast: how wrong a pixel at a corner may be
 LEVELS = 11  # linear parameters of the light
@@ -64,39 +65,16 @@ def first_blur_log(level: int) -> float:
 
 
 def linearized(
-    pixels: Pixels, helix: Helix, camera_height_m: float, state: State, noise: Noise, expected, level: int
+    pixels: Pixels, helix: Helix, camera_height_m: float, state: State, noise: Noise, before, level: int
 ) -> Linearized:
-    """expected: (N,) grey levels of the state before, for the weights; or None."""
+    """before: Linearized at the state before, for the weights; or None."""
     s = shown(pixels, helix, camera_height_m, state.axis, state.heading_rad, float(np.exp(state.blur_log)))
-    share, count = np.float32(helix.dark / helix.light), len(s.light)
+    share = np.float32(helix.dark / helix.light)
     within = s.cover * (1 - s.below - s.above)
     lightness = share + (1 - share) * s.light
-    lit = within * lightness
-    columns = np.empty((LEVELS + 2, count), np.float32)
-    columns[0] = lit
-    np.multiply(lit, s.sine, out=columns[1])
-    np.multiply(lit, s.cosine, out=columns[2])
-    np.multiply(columns[1], s.cosine, out=columns[3])
-    np.multiply(columns[1], s.sine, out=columns[4])
-    np.multiply(columns[4], s.cosine, out=columns[5])
-    np.multiply(columns[4], s.sine, out=columns[6])
-    np.multiply(lit, pixels.row, out=columns[7])
-    columns[8] = within * (1 - s.light)
-    columns[9] = s.cover * s.below
-    columns[10] = s.cover * s.above
-    columns[11] = pixels.grey
-    beside = columns[LEVELS + 1] = 1 - s.cover
-    if expected is None:
-        weights, fitting = np.full(count, 1 / noise.dark, np.float32), np.ones(count, bool)
-    else:
-        variance = noise.dark + noise.slope * np.maximum(expected, 0)
-        variance = variance + (CORNER_GREY * s.corner * (expected.max() - expected.min())) ** 2
-        off, outside = np.square(pixels.grey - expected), np.square(beside)
-        uneven = np.add.reduceat(outside * (off - variance), pixels.starts)
-        uneven /= np.add.reduceat(outside, pixels.starts) + 1e-3
-        variance = variance + outside * np.take(UNEVEN * np.maximum(uneven, 0.0), pixels.half)
-        pull = off / variance
-        weights, fitting = np.minimum(1.0, HUBER**2 / np.maximum(pull, 1e-9)) / variance, pull < HUBER**2
+    columns = _columns(pixels, s, within, lightness)
+    beside = columns[LEVELS + 1]
+    weights, fitting = _weights(pixels, s, noise, beside, before)
     heavy = weights * beside
     sums = np.add.reduceat(columns * heavy, pixels.starts, axis=1)
     least = sums[LEVELS + 1] + 1 / BESIDE_SIGMA**2
@@ -110,7 +88,7 @@ def linearized(
     inverse = np.linalg.inv(gram)
     levels = (inverse @ moment).astype(np.float32)
     residual = free[LEVELS] - levels @ free[:LEVELS]
-    beside_grey = (sums[LEVELS] - levels @ sums[:LEVELS])[pixels.half]
+    beside_grey = np.take(sums[LEVELS] - levels @ sums[:LEVELS], pixels.half)
     sunlit = levels[0] + levels[1] * s.sine + s.cosine * (levels[2] + levels[3] * s.sine)
     sunlit += s.sine * s.sine * (levels[4] + levels[5] * s.cosine + levels[6] * s.sine) + levels[7] * pixels.row
     contrast = sunlit * (1 - share) - levels[8]
@@ -137,6 +115,54 @@ def linearized(
         fitting=fitting,
         shown=s,
     )
+
+
+def _columns(pixels: Pixels, s: Shown, within, lightness) -> np.ndarray:
+    """(LEVELS + 2, N) by how much grey levels change with each of the light's, the picture, and what is beside."""
+    columns = np.empty((LEVELS + 2, len(lightness)), np.float32)
+    lit = columns[0] = within * lightness
+    np.multiply(lit, s.sine, out=columns[1])
+    np.multiply(lit, s.cosine, out=columns[2])
+    np.multiply(columns[1], s.cosine, out=columns[3])
+    np.multiply(columns[1], s.sine, out=columns[4])
+    np.multiply(columns[4], s.cosine, out=columns[5])
+    np.multiply(columns[4], s.sine, out=columns[6])
+    np.multiply(lit, pixels.row, out=columns[7])
+    columns[8] = within * (1 - s.light)
+    columns[9] = s.cover * s.below
+    columns[10] = s.cover * s.above
+    columns[LEVELS] = pixels.grey
+    columns[LEVELS + 1] = 1 - s.cover
+    return columns
+
+
+def _weights(pixels: Pixels, s: Shown, noise: Noise, beside, before) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) of squares, and whether a pixel is no outlier.
+
+    A pixel is worth less at a corner of the pattern, whose blur is not that of edges, and beside a silhouette where
+    one grey level does not fit, within the half row or from one row to the next.
+    """
+    if before is None:
+        return np.full(len(beside), 1 / noise.dark, np.float32), np.ones(len(beside), bool)
+    expected = before.expected
+    variance = noise.dark + noise.slope * np.maximum(expected, 0)
+    variance = variance + (CORNER_GREY * s.corner * (expected.max() - expected.min())) ** 2
+    off, outside = np.square(pixels.grey - expected), np.square(beside)
+    uneven = np.add.reduceat(outside * (off - variance), pixels.starts)
+    uneven /= np.add.reduceat(outside, pixels.starts) + 1e-3
+    uneven = UNEVEN * np.maximum(uneven, 0.0) + BETWEEN * _between_rows(before.beside[pixels.starts])
+    variance = variance + outside * np.take(uneven, pixels.half)
+    pull = off / variance
+    return np.minimum(1.0, HUBER**2 / np.maximum(pull, 1e-9)) / variance, pull < HUBER**2
+
+
+def _between_rows(level: np.ndarray) -> np.ndarray:
+    """(H,) half the mean square of the steps to the half rows above and below; half rows alternate in their side."""
+    steps = np.square(level[2:] - level[:-2]) / 4
+    found = np.zeros_like(level)
+    found[2:] += steps
+    found[:-2] += steps
+    return found
 
 
 def _jacobian(pixels: Pixels, helix: Helix, s: Shown, levels, within, lightness, contrast, excess) -> np.ndarray:

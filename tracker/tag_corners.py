@@ -73,7 +73,7 @@ def _starts(camera: Camera, cube: TagCube, tag: Tag) -> np.ndarray:
 def _descend(camera: Camera, points: np.ndarray, seen: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(S, 3) poses and (S,) costs after Levenberg-Marquardt from each of the starts, all at once."""
     damping = np.full(len(poses), 1e-3)
-    residual, jacobian = _reprojection(camera, points, seen, poses)
+    residual, jacobian = reprojection(camera, points, seen, poses)
     cost = np.sum(residual**2, axis=1)
     for _ in range(STEPS):
         normal = np.einsum("sni,snj->sij", jacobian, jacobian)
@@ -81,7 +81,7 @@ def _descend(camera: Camera, points: np.ndarray, seen: np.ndarray, poses: np.nda
         diagonal = np.einsum("sii->si", normal)
         normal = normal + (damping[:, None] * diagonal + 1e-9)[:, :, None] * np.eye(3)
         tried = poses - np.linalg.solve(normal, gradient[:, :, None])[:, :, 0]
-        residual_tried, jacobian_tried = _reprojection(camera, points, seen, tried)
+        residual_tried, jacobian_tried = reprojection(camera, points, seen, tried)
         cost_tried = np.sum(residual_tried**2, axis=1)
         better = cost_tried < cost
         poses = np.where(better[:, None], tried, poses)
@@ -92,7 +92,7 @@ def _descend(camera: Camera, points: np.ndarray, seen: np.ndarray, poses: np.nda
     return poses, cost
 
 
-def _reprojection(camera: Camera, points, seen, poses) -> tuple[np.ndarray, np.ndarray]:
+def reprojection(camera: Camera, points, seen, poses) -> tuple[np.ndarray, np.ndarray]:
     """(S, 2 N) reprojection errors in undistorted pixels, and their (S, 2 N, 3) derivative; huge behind the camera."""
     lens, R = camera.lens, camera.mount.R_body_camera
     c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])

@@ -61,7 +61,7 @@ class TagFit:
     contrast: float  # grey levels between light and dark, at worst over the tags
 
 
-class _Linearized(NamedTuple):
+class Linearized(NamedTuple):
     """One region about a pose and a blur: projected residual and Jacobian, whitened."""
 
     residual: np.ndarray  # (N,) grey levels: picture less prediction
@@ -79,7 +79,7 @@ def fit_tags(regions: list[Region], camera: Camera, pose: np.ndarray, noise: Noi
     blur, now = BLUR_START.copy(), np.array(pose, float)
     known, noise = noise is not None, noise or Noise(4.0, 0.0)
     for step in range(STEPS):
-        parts = [_linearized(region, camera, now, blur, noise) for region in regions]
+        parts = [linearized(region, camera, now, blur, noise) for region in regions]
         if any(part is None for part in parts):
             return None
         hessian = sum(np.einsum("ni,n,nj->ij", part.jacobian, part.weights, part.jacobian) for part in parts)
@@ -107,14 +107,16 @@ def _possible(blur: np.ndarray) -> np.ndarray:
     return np.array([a, b, np.clip(blur[2], -most, most)])
 
 
-def _linearized(region: Region, camera: Camera, pose: np.ndarray, blur: np.ndarray, noise: Noise) -> _Linearized | None:
-    met = _met(region, camera, pose)
+def linearized(region: Region, camera: Camera, pose: np.ndarray, blur: np.ndarray, noise: Noise) -> Linearized | None:
+    """The prediction about a (3,) pose and a (3,) blur A, B, C, px^2. None when the face is turned away."""
+    met = rays_met(region, camera, pose)
     if met is None:
         return None
     s, t, ds, dt, across_s, across_t = met
     (share_s, sigma_s, width_s), (share_t, sigma_t, width_t) = (_smear(blur, across) for across in (across_s, across_t))
-    box_s, box_s_by_s, box_s_by_sigma = _boxes(*map(np.float32, (s, sigma_s, width_s)))  # half the time of double
-    box_t, box_t_by_t, box_t_by_sigma = _boxes(*map(np.float32, (t, sigma_t, width_t)))
+    # single precision takes half the time
+    box_s, box_s_by_s, box_s_by_sigma = smeared_modules(*map(np.float32, (s, sigma_s, width_s)))
+    box_t, box_t_by_t, box_t_by_sigma = smeared_modules(*map(np.float32, (t, sigma_t, width_t)))
     columns, rows = box_s @ region.dark.T, box_t  # (N, 8) over the rows of the tag
     light = 1 - np.sum(columns * rows, axis=1)
     by_s = -np.sum((box_s_by_s @ region.dark.T) * rows, axis=1)
@@ -141,10 +143,10 @@ def _linearized(region: Region, camera: Camera, pose: np.ndarray, blur: np.ndarr
     gain = levels[1] + region.place @ levels[2:4]
     slopes = np.concatenate([by_pose, by_blur]).T * gain[:, None]
     jacobian = slopes - basis @ (project @ slopes)
-    return _Linearized(residual, jacobian, light, weights, float(levels[1]))
+    return Linearized(residual, jacobian, light, weights, float(levels[1]))
 
 
-def _met(region: Region, camera: Camera, pose: np.ndarray):
+def rays_met(region: Region, camera: Camera, pose: np.ndarray):
     """Where the rays meet the face: (N,) s and t in modules, right and down; their (3, N) derivatives by the pose, and
     (2, N) by pixels along columns and rows. None when a ray does not meet its front."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -187,7 +189,7 @@ def _smear(blur: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return share, np.sqrt(blur @ share + extent.min(axis=0) ** 2 / 12), width
 
 
-def _boxes(s: np.ndarray, sigma: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def smeared_modules(s: np.ndarray, sigma: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(N, 8) share of each module under the smeared point, and its derivatives by s and by sigma.
 
     A step smeared by a Gaussian and a box is a difference of the Gaussian's second integral x Phi(x) + phi(x).
@@ -202,7 +204,7 @@ def _boxes(s: np.ndarray, sigma: np.ndarray, width: np.ndarray) -> tuple[np.ndar
     return step[:, :-1] - step[:, 1:], by_s[:, :-1] - by_s[:, 1:], by_sigma[:, :-1] - by_sigma[:, 1:]
 
 
-def _noise_of(parts: list[_Linearized]) -> Noise:
+def _noise_of(parts: list[Linearized]) -> Noise:
     """Robust variances of the dark and of the light pixels."""
     residual = np.concatenate([part.residual for part in parts])
     light = np.concatenate([part.light for part in parts])
@@ -218,7 +220,7 @@ def _variance(residual: np.ndarray) -> float:
     return max(float(np.median(np.abs(residual)) * 1.4826) ** 2, LEAST_VARIANCE)
 
 
-def _concluded(regions: list[Region], parts: list[_Linearized], pose, blur, inverse, noise: Noise) -> TagFit:
+def _concluded(regions: list[Region], parts: list[Linearized], pose, blur, inverse, noise: Noise) -> TagFit:
     squares = [part.weights * part.residual**2 for part in parts]
     dof = sum(map(len, squares)) - 6 - 4 * len(parts)
     chi_square = float(sum(map(np.sum, squares)))

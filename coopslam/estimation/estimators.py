@@ -86,12 +86,8 @@ def run(
     began = time.perf_counter()
     smoothed = smooth(records, robots, landmarks, settings.timeline, settings.smooth, watch)
     seconds = np.array([time.perf_counter() - began])
-    timeline = smoothed.estimate.timeline
-    end_s = records[-1].stamp_s
-    placed = dict.fromkeys(filter(timeline.is_placed, timeline.robots), end_s)
-    return Replay(
-        smoothed.estimate, smoothed.solution.graph, np.array([end_s]), seconds, np.array([len(timeline.stamps)]), placed
-    )
+    end_s, poses = np.array([records[-1].stamp_s]), np.array([len(smoothed.estimate.timeline.stamps)])
+    return Replay(smoothed.estimate, smoothed.solution.graph, end_s, seconds, poses)
 
 
 def _for_log(settings: TimelineSettings, records: Iterable[Record]) -> TimelineSettings:

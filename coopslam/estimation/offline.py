@@ -6,7 +6,6 @@ nothing but relative poses has a better one in closed form (lago: Carlone, Aragu
 approximation for graph-based simultaneous localization and mapping, RSS 2011).
 """
 
-import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -51,8 +50,6 @@ class Smoothed:
     estimate: BatchEstimate
     solution: RobustSolution
     start: gtsam.Values
-    start_seconds: float
-    solve_seconds: float
 
 
 def smooth(
@@ -67,16 +64,15 @@ def smooth(
 
     Raises UnderDetermined when nothing ties a robot down.
     """
-    settings, began = settings or SmoothSettings(), time.perf_counter()
+    settings = settings or SmoothSettings()
     causal = Incremental(robots, landmarks, settings.start, settings.gate, timeline)
     replay(causal, in_groups(records, settings.start_period_s), watch)
     require_connected(causal.timeline)
     start = _best_start(causal.graph, causal.values())
-    started = time.perf_counter()
     refused = causal.timeline.refused
     solution = solve_robust(causal.graph, refused, start, causal.timeline.robots, settings.robust)
     estimate = BatchEstimate(causal.timeline, solution.graph, solution.values)
-    return Smoothed(estimate, solution, start, started - began, time.perf_counter() - started)
+    return Smoothed(estimate, solution, start)
 
 
 def _best_start(graph: gtsam.NonlinearFactorGraph, causal: gtsam.Values) -> gtsam.Values:

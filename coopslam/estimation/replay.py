@@ -21,7 +21,6 @@ class Replay:
     stamps_s: np.ndarray  # (N,) of the last record of each update
     latencies_s: np.ndarray  # (N,) wall time of each update
     poses: np.ndarray  # (N,) pose variables after each update
-    placed_s: dict[str, float]  # robot -> stamp of the update after which it has a place in the common frame
 
     @property
     def seconds(self) -> float:
@@ -55,18 +54,14 @@ def replay(
 
     Raises what the estimator raises; ValueError when there are no groups.
     """
-    estimate, stamps, latencies, poses, placed = None, [], [], [], {}
-    waiting = set(estimator.timeline.robots)
+    estimate, stamps, latencies, poses = None, [], [], []
     for group in groups:
         began = time.perf_counter()
         estimate = estimator.update(group)
         latencies.append(time.perf_counter() - began)
         stamps.append(group[-1].stamp_s)
         poses.append(len(estimator.timeline.stamps))
-        for robot in [robot for robot in waiting if estimator.timeline.is_placed(robot)]:
-            waiting.remove(robot)
-            placed[robot] = group[-1].stamp_s
         watch(group[-1].stamp_s)
     if estimate is None:
         raise ValueError("nothing to replay")
-    return Replay(estimate, estimator.graph, np.array(stamps), np.array(latencies), np.array(poses), placed)
+    return Replay(estimate, estimator.graph, np.array(stamps), np.array(latencies), np.array(poses))

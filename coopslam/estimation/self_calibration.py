@@ -164,9 +164,8 @@ def smooth_calibrated(
     solved = solve_robust(found.graph, found.timeline.refused, found.values, robots, settings.robust)
     estimate = BatchEstimate(found.timeline, solved.graph, solved.values)
     end_s, seconds = records[-1].stamp_s, time.perf_counter() - began
-    placed = dict.fromkeys(filter(found.timeline.is_placed, robots), end_s)
     count = len(found.timeline.stamps)
-    return Replay(estimate, solved.graph, np.array([end_s]), np.array([seconds]), np.array([count]), placed)
+    return Replay(estimate, solved.graph, np.array([end_s]), np.array([seconds]), np.array([count]))
 
 
 def _start(

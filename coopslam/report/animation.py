@@ -49,7 +49,7 @@ def write_animation(
                 writer.add(picture)
         for writer in writers:
             writer.close()
-    except BaseException:  # also when interrupted: half a film is none
+    except BaseException:  # whatever it was, an interruption too: half a film is none; the error goes on
         for path in paths:
             path.unlink(missing_ok=True)
         raise

@@ -16,11 +16,10 @@ class RobotErrors:
 
     stamps_s: np.ndarray  # (N,) s after the beginning of the log
     path: np.ndarray  # (N, 2) m, in the frame of the truth where there is one
-    position_sigmas_m: np.ndarray  # (N,) along the worst direction; empty when the estimator has no covariances
     error_stamps_s: np.ndarray  # (M,) where the truth covers the estimate
     position_errors_m: np.ndarray  # (M,) after the alignment with the truth, as ATE
     heading_errors_rad: np.ndarray  # (M,) signed; after the alignment
-    error_sigmas_m: np.ndarray  # (M,) as position_sigmas_m; relative to the first robot's start, as all covariances
+    error_sigmas_m: np.ndarray  # (M,) along the worst direction, relative to the first robot's start; empty: none known
     heading_sigmas_rad: np.ndarray  # (M,)
     nees: np.ndarray  # (M,) 3 degrees of freedom; in the frame of the first robot's start; NaN of the anchored pose
     # what may be compared with sigmas: without alignment, in the frame of the first robot's true start, as NEES
