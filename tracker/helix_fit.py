@@ -28,7 +28,7 @@ CONVERGED = 1.0  # sigma of independent pixels: the step is still taken, and wha
 COVERS = np.array([0.02, 0.16, 0.5, 0.84, 0.98])  # shares of a pixel within the silhouette: one sigma of blur apart
 SINES = 8  # steps from the facing generator to the limb
 LIMB_SINE = 0.85  # of the angle from the facing generator, from which on it is the silhouette that counts
-PLAUSIBLE = 0.6  # share of the variance that a coarse fit explains
+PLAUSIBLE, PLAUSIBLE_PART = 0.85, 0.75  # share of the variance that a coarse fit explains
 DARKNESS = 0.7  # light less dark, in dark, at least
 MARGIN_PX = 4  # around the target
 LEAST_SCALE = 0.2  # of the variance by the residuals: few of them may be small by chance
@@ -74,7 +74,7 @@ def fit_helix(sought: Sought, candidate: Candidate, part: Part = WHOLE) -> Helix
     for level, floors, steps in passes:
         pixels = pixels_of(sought, level, state.axis, part)
         found = None if pixels is None else _descended(sought, pixels, level, state, noise, floors, steps)
-        if found is None or not _is_plausible(pixels, found[1]):
+        if found is None or not _is_plausible(pixels, found[1], PLAUSIBLE if part == WHOLE else PLAUSIBLE_PART):
             return None
         state, last, noise = found
         if level > fine:
@@ -130,11 +130,11 @@ def _descended(sought: Sought, pixels: Pixels, level: int, state: State, noise: 
     return state, last, noise
 
 
-def _is_plausible(pixels: Pixels, last: Linearized) -> bool:
+def _is_plausible(pixels: Pixels, last: Linearized, share: float) -> bool:
     on = last.shown.cover > 0.5
     if not on.any() or last.contrast[on].mean() < max(last.dark[on].mean(), 0.0) * DARKNESS:
         return False
-    return bool(last.residual[on].var() < (1 - PLAUSIBLE) * pixels.grey[on].var())
+    return bool(last.residual[on].var() < (1 - share) * pixels.grey[on].var())
 
 
 def _covariance(pixels: Pixels, state: State, last: Linearized, level: int) -> np.ndarray:

@@ -115,7 +115,7 @@ def shown(pixels: Pixels, helix: Helix, camera_height_m: float, axis, heading: f
     p, q = ax * pixels.forward + ay * pixels.left, ay * pixels.forward - ax * pixels.left
     turn = np.sqrt(pixels.turn_sq)
     smear = p * turn * blur
-    inside = np.maximum((radius - np.abs(q)) / smear, FARTHEST)
+    inside = np.minimum(np.maximum((radius - np.abs(q)) / smear, FARTHEST), -FARTHEST * 2)
     cover, edge = ndtr(inside), ROOT * np.exp(-0.5 * inside * inside)
     mills = edge / cover
     moves = np.maximum(1 - mills * (mills + inside), 0.0)
