@@ -27,6 +27,7 @@ NEAR_LIMB = 0.6  # sine of the angle from the facing generator, from which on a 
 PARTS = Part(left=-0.15), Part(right=0.15), Part(lower=0.42), Part(upper=0.58)
 CONTRADICTION = 30.0  # squared Mahalanobis distance of two fits, of three degrees of freedom: one in a million
 NOTHING = 0.01  # share of the variance that no pattern but the right one leaves, whatever its shape
+LONE_MISSED = 0.005  # of the variance, at most, by a fit to one side when nothing confirms it: 1 in 20 misses more
 FLAT_GREY = 4.0  # sigma below which what is beside is flat
 
 
@@ -37,13 +38,12 @@ class HelixDetectorSettings:
     farthest_m: float = 11.0  # that is looked for
     candidates: int = 3  # places that are fitted, at most
     score_min: float = 0.6  # correlation coefficient of a candidate
-    # The next two, and `alike_max`: what one in a hundred targets misses of which nothing is hidden.
-    explained_min: float = 0.98  # share of the picture's variance on the target that the prediction explains
-    fitting_min: float = 0.965  # share of the target's pixels that are no outliers
+    explained_min: float = 0.955  # share of the picture's variance on the target that the prediction explains
+    fitting_min: float = 0.92  # share of the target's pixels that are no outliers
     pixels_min: int = 150  # of the target; what few of them show may be chance
     contrast_min: float = 10.0  # grey levels between light and dark
     darkness_min: float = 0.68  # light less dark, in light: 0.94 for the data sheets' paint without any haze
-    alike_max: float = 0.5  # correlation of neighbouring residuals: of noise zero, at halved pictures 0.4
+    alike_max: float = 0.65  # correlation of neighbouring residuals: of noise zero, at halved pictures 0.4
     beside_max: float = 0.65  # correlation of what is beside the silhouette with what is within, row by row
     blur_ratio_max: float = 2.6  # of the blur to the one that is expected, either way
     range_sigma_max: float = 0.05  # share of the range
@@ -54,9 +54,17 @@ class HelixDetectorSettings:
             require_positive(**{name: getattr(self, name)})
 
 
-# Where only a part of the target is looked at, less speaks for it, and an edge of what hides the rest may fit as well.
+# Where few pixels show the target, something that hides a part of it may pass for it: what one in a hundred targets
+# misses of which nothing is hidden.
+SMALL_PIXELS = 800
+SMALL_SETTINGS = HelixDetectorSettings(explained_min=0.98, fitting_min=0.965, alike_max=0.5)
+
+# Where only a part is looked at, less speaks for it, and an edge of what hides the rest may fit as well.
 PART_SETTINGS = HelixDetectorSettings(
     pixels_min=450,
+    explained_min=0.98,
+    fitting_min=0.965,
+    alike_max=0.5,
     blur_ratio_max=1.6,
     range_sigma_max=0.01,
     heading_sigma_max_rad=0.06,
@@ -71,10 +79,11 @@ class HelixDetector:
         camera: Camera,
         helix: Helix,
         settings: HelixDetectorSettings | None = None,
+        small_settings: HelixDetectorSettings = SMALL_SETTINGS,
         part_settings: HelixDetectorSettings = PART_SETTINGS,
     ):
-        self.camera, self.helix = camera, helix
-        self.settings, self.part_settings = settings or HelixDetectorSettings(), part_settings
+        self.camera, self.helix, self.settings = camera, helix, settings or HelixDetectorSettings()
+        self.small_settings, self.part_settings = small_settings, part_settings
         self._search = HelixSearch(camera, helix, self.settings.farthest_m)
 
     def detect(self, image: np.ndarray) -> Detection | None:
@@ -85,12 +94,17 @@ class HelixDetector:
         sought = Sought(pyramid, self.camera, self.helix)
         for candidate in candidates:
             fit = fit_helix(sought, candidate)
-            if fit is not None and self.is_believed(fit, self.settings):
+            if fit is not None and self.is_believed(fit, self._limits(fit)):
                 return self._detection(fit)
         fits = [fit_helix(sought, candidate, part) for candidate in candidates[:1] for part in PARTS]
         limits = self.part_settings
         fits = [fit for fit in fits if fit is not None and self.is_believed(fit, limits) and _is_turned(fit, limits)]
+        if len(fits) == 1 and fits[0].part.is_one_sided and _missed(fits[0]) > LONE_MISSED:
+            return None  # its silhouette may be the edge of what hides the other
         return self._agreed(fits) if fits else None
+
+    def _limits(self, fit: HelixFit) -> HelixDetectorSettings:
+        return self.settings if fit.size >= SMALL_PIXELS else self.small_settings
 
     def is_believed(self, fit: HelixFit, limits: HelixDetectorSettings) -> bool:
         """Whether a fit is the target."""

@@ -50,9 +50,15 @@ class HelixFit:
 
     state: State
     cov: np.ndarray  # (3, 3) of axis and heading
+    part: Part  # of the target that was looked at
     level: int  # of the pyramid
     pixels: Pixels
     last: Linearized  # one step before the state
+
+    @property
+    def size(self) -> int:
+        """Number of pixels that show the target."""
+        return int(np.count_nonzero(self.last.shown.cover > 0.5))
 
     @property
     def range_sigma_m(self) -> float:
@@ -79,7 +85,7 @@ def fit_helix(sought: Sought, candidate: Candidate, part: Part = WHOLE) -> Helix
         state, last, noise = found
         if level > fine:
             state = state._replace(blur_log=first_blur_log(fine))
-    return HelixFit(state, _covariance(pixels, state, last, fine), fine, pixels, last)
+    return HelixFit(state, _covariance(pixels, state, last, fine), part, fine, pixels, last)
 
 
 def pixels_of(sought: Sought, level: int, axis: np.ndarray, part: Part) -> Pixels | None:

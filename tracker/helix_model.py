@@ -71,6 +71,11 @@ class Part(NamedTuple):
     lower: float = -np.inf  # from this share of the height, collars included,
     upper: float = np.inf  # to that
 
+    @property
+    def is_one_sided(self) -> bool:
+        """Whether only one silhouette is in it."""
+        return self.left > -np.inf or self.right < np.inf
+
 
 WHOLE = Part()
 
