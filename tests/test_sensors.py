@@ -122,8 +122,8 @@ def test_the_trackers_covariance_is_that_of_its_scatter(relative):
     metres = relative.range(np.zeros(2))
     line = np.array([relative.x(), relative.y()]) / metres
     across = np.array([-line[1], line[0]])
-    assert in_band(errors[:, :2] @ line, np.hypot(0.005, 0.01 * metres))
-    assert in_band(errors[:, :2] @ across, np.hypot(0.005, radians(0.2) * metres))
+    assert in_band(errors[:, :2] @ line, np.hypot(noise.range_sigma_m, noise.range_sigma_per_m * metres))
+    assert in_band(errors[:, :2] @ across, np.hypot(noise.lateral_sigma_m, noise.bearing_sigma_rad * metres))
     assert in_band(errors[:, 2], noise.heading_sigma_rad)
     require_covariance(errors, np.mean([fix.cov_observer for fix in fixes], axis=0))
     assert (fixes[0].stamp_s, fixes[0].observer, fixes[0].target) == (1.5, "ann", "bob")
@@ -171,7 +171,7 @@ def test_truth_and_belief_are_two_things():
     assert in_band([r.T_start_now.x() - 1.0 for r in records], 0.1)
     assert np.sqrt(np.mean([r.cov_now[0, 0] for r in records])) == pytest.approx(0.01, rel=0.02)
     fixes = [sensors(true, believed, seed).relative_pose(0.0, "a", "b", Pose2(1, 0, 0)) for seed in range(500)]
-    assert in_band([f.T_observer_target.x() - 1.0 for f in fixes], np.hypot(0.005, 0.01))
+    assert in_band([f.T_observer_target.x() - 1.0 for f in fixes], np.sqrt(true.tracker.line_covariance(1.0)[0, 0]))
     assert np.sqrt(np.mean([f.cov_observer[0, 0] for f in fixes])) == pytest.approx(0.5, rel=0.01)
 
 

@@ -64,7 +64,7 @@ def test_presets_of_noise_and_tracker():
     true, believed = preset("legged", "laser-stripe")
     assert true == believed
     assert true.odometry == PRESETS["legged"][0].odometry
-    assert true.tracker == TrackerNoise(0.002, 0.003, 0.002, radians(0.1), radians(1.0))
+    assert true.tracker == TrackerNoise(0.001, 0.001, 0.001, radians(0.05), radians(1.0))
 
 
 def test_a_team_without_headings_knows_how_it_was_set_up():
