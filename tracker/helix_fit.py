@@ -165,9 +165,17 @@ def _covariance(pixels: Pixels, state: State, last: Linearized, level: int) -> n
     by_part = pulls @ (part[:, None] == np.arange(4))
     ratios = []
     for sums, lost in ((by_row, ROW_PARAMETERS), (by_column, COLUMN_PARAMETERS), (by_part, 0)):
-        few = sums.shape[1] / max(sums.shape[1] - lost, lost, 1)
+        few = _small_sample(sums.shape[1], lost) if lost else 1.0
         ratios.append(few * np.sum((sight @ (inverse @ sums)[:3]) ** 2, axis=1) / expected)
     stretch = np.sqrt(np.maximum(1.0, np.max(ratios, axis=0)))
     turn = sight.T @ (stretch[:, None] * sight)
     cov = turn @ plain @ turn.T
     return (cov + cov.T) / 2
+
+
+def _small_sample(clusters: int, lost: int) -> float:
+    """How much larger a squared error is, on average, than a sandwich of few clusters says: what the parameters took
+    (MacKinnon and White 1985), and that the sandwich scatters itself, as a chi-square with the rest's degrees of
+    freedom does."""
+    left = max(clusters - lost, lost)
+    return clusters / (left - 2)
