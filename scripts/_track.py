@@ -142,7 +142,7 @@ def _lines(shot: Shot, found: Detection | None, values: np.ndarray, sigmas: np.n
         return [first, "no target found"]
     (bearing, heading), (bearing_sigma, heading_sigma) = np.degrees(values[[0, 2]]), np.degrees(sigmas[[0, 2]])
     said = [
-        f"range {values[1]:.3f} m  sigma {1000 * sigmas[1]:.1f} mm",
+        f"range {values[1]:.3f} m  sigma {1000 * sigmas[1]:.2f} mm",
         f"bearing {bearing:.2f} deg  sigma {bearing_sigma:.3f}",
         f"heading {heading:.1f} deg  sigma {heading_sigma:.2f}" if found.heading_known else "heading withheld",
     ]

@@ -10,7 +10,7 @@ from coopslam.se2 import Pose2, xytheta
 from tracker.background import Background
 from tracker.data_sheet import load_data_sheet
 from tracker.detectors import make_detector
-from tracker.helix_detector import HelixDetector, HelixDetectorSettings
+from tracker.helix_detector import Belief, HelixDetector
 from tracker.render import RenderSettings, render
 from tracker.tag_detector import TagDetector, TagDetectorSettings
 
@@ -45,7 +45,7 @@ def test_the_noise_of_a_scene_scatters_no_more_than_its_covariance_says(sheet):
     assert (scatter / said < chi2.ppf(0.9995, 39) / 39).all()
 
 
-@pytest.mark.parametrize("settings", [HelixDetectorSettings, TagDetectorSettings])
+@pytest.mark.parametrize("settings", [Belief, TagDetectorSettings])
 def test_settings_name_the_field(settings):
     with pytest.raises(BadInput, match="explained_min: more than zero"):
         settings(explained_min=0.0)

@@ -12,7 +12,7 @@ from coopslam.records import BearingRangeFix
 from coopslam.se2 import Pose2, rotation, wrap, xytheta
 from tracker.background import Background
 from tracker.data_sheet import load_data_sheet
-from tracker.helix_detector import HelixDetector, HelixDetectorSettings
+from tracker.helix_detector import Belief, HelixDetector, HelixDetectorSettings
 from tracker.helix_search import HelixSearch
 from tracker.pyramid import pyramid_of
 from tracker.render import Occluder, RenderSettings, render, render_background, target_box
@@ -136,12 +136,22 @@ def test_half_of_it_out_of_the_picture():
 
 
 def test_a_heading_that_is_known_too_badly_is_withheld():
-    careful = HelixDetector(CAMERA, HELIX, HelixDetectorSettings(heading_sigma_max_rad=1e-5))
+    careful = HelixDetector(CAMERA, HELIX, HelixDetectorSettings(whole=Belief(heading_sigma_max_rad=1e-5)))
     pose = Pose2(3.0, 0.5, 1.0)
     found = careful.detect(render(CAMERA, HELIX, pose, RenderSettings(), np.random.default_rng(0)))
     assert not found.heading_known
     fix = found.record(2.0, "ann", "bob")
     assert isinstance(fix, BearingRangeFix) and fix.range_m == pytest.approx(hypot(3.0, 0.5), rel=1e-3)
+
+
+def test_farther_targets_are_found_when_they_are_looked_for():
+    """At 12 m, where few pixels show the target: the search's own limit counts, not that of a belief."""
+    sheet, pose = load_data_sheet(SHEETS / "helix_1280x960.toml"), Pose2(12.0, 0.5, 1.0)
+    settings = RenderSettings(background=Background("plain"))
+    picture = render(sheet.camera, sheet.target, pose, settings, np.random.default_rng(0))
+    assert HelixDetector(sheet.camera, sheet.target).detect(picture) is None
+    found = HelixDetector(sheet.camera, sheet.target, HelixDetectorSettings(farthest_m=20.0)).detect(picture)
+    assert np.hypot(found.T_observer_target.x(), found.T_observer_target.y()) == pytest.approx(12.0, abs=0.05)
 
 
 def test_what_is_drawn_lies_on_the_target():

@@ -5,7 +5,7 @@ silhouette must not carry the pattern on, and the lens must not be more blurred 
 where the stripe is hidden or another heading fits about as well.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -32,12 +32,9 @@ FLAT_GREY = 4.0  # sigma below which what is beside is flat
 
 
 @dataclass(frozen=True, slots=True)
-class HelixDetectorSettings:
-    """When a detection is believed. Raises BadInput naming the field."""
+class Belief:
+    """When a fit is believed. Raises BadInput naming the field."""
 
-    farthest_m: float = 11.0  # that is looked for
-    candidates: int = 3  # places that are fitted, at most
-    score_min: float = 0.6  # correlation coefficient of a candidate
     explained_min: float = 0.955  # share of the picture's variance on the target that the prediction explains
     fitting_min: float = 0.92  # share of the target's pixels that are no outliers
     pixels_min: int = 150  # of the target; what few of them show may be chance
@@ -56,34 +53,34 @@ class HelixDetectorSettings:
 
 # Where few pixels show the target, something that hides a part of it may pass for it: what one in a hundred targets
 # misses of which nothing is hidden.
-SMALL_PIXELS = 800
-SMALL_SETTINGS = HelixDetectorSettings(explained_min=0.98, fitting_min=0.965, alike_max=0.5)
+SMALL = Belief(explained_min=0.98, fitting_min=0.965, alike_max=0.5)
 
 # Where only a part is looked at, less speaks for it, and an edge of what hides the rest may fit as well.
-PART_SETTINGS = HelixDetectorSettings(
-    pixels_min=450,
-    explained_min=0.98,
-    fitting_min=0.965,
-    alike_max=0.5,
-    blur_ratio_max=1.6,
-    range_sigma_max=0.01,
-    heading_sigma_max_rad=0.06,
-)
+PARTLY_SEEN = replace(SMALL, pixels_min=450, blur_ratio_max=1.6, range_sigma_max=0.01, heading_sigma_max_rad=0.06)
+
+
+@dataclass(frozen=True, slots=True)
+class HelixDetectorSettings:
+    """What is looked for, and when it is believed. Raises BadInput naming the field."""
+
+    farthest_m: float = 11.0  # that is looked for
+    candidates: int = 3  # places that are fitted, at most
+    score_min: float = 0.6  # correlation coefficient of a candidate
+    small_pixels: int = 800  # a target that fewer pixels show is small
+    whole: Belief = Belief()
+    small: Belief = SMALL
+    part: Belief = PARTLY_SEEN
+
+    def __post_init__(self):
+        for name in ("farthest_m", "candidates", "score_min", "small_pixels"):
+            require_positive(**{name: getattr(self, name)})
 
 
 class HelixDetector:
     """Detector of helix targets in the pictures of one camera."""
 
-    def __init__(
-        self,
-        camera: Camera,
-        helix: Helix,
-        settings: HelixDetectorSettings | None = None,
-        small_settings: HelixDetectorSettings = SMALL_SETTINGS,
-        part_settings: HelixDetectorSettings = PART_SETTINGS,
-    ):
+    def __init__(self, camera: Camera, helix: Helix, settings: HelixDetectorSettings | None = None):
         self.camera, self.helix, self.settings = camera, helix, settings or HelixDetectorSettings()
-        self.small_settings, self.part_settings = small_settings, part_settings
         self._search = HelixSearch(camera, helix, self.settings.farthest_m)
 
     def detect(self, image: np.ndarray) -> Detection | None:
@@ -97,21 +94,25 @@ class HelixDetector:
             if fit is not None and self.is_believed(fit, self._limits(fit)):
                 return self._detection(fit)
         fits = [fit_helix(sought, candidate, part) for candidate in candidates[:1] for part in PARTS]
-        limits = self.part_settings
+        limits = self.settings.part
         fits = [fit for fit in fits if fit is not None and self.is_believed(fit, limits) and _is_turned(fit, limits)]
         if len(fits) == 1 and fits[0].part.is_one_sided and _missed(fits[0]) > LONE_MISSED:
             return None  # its silhouette may be the edge of what hides the other
         return self._agreed(fits) if fits else None
 
-    def _limits(self, fit: HelixFit) -> HelixDetectorSettings:
-        return self.settings if fit.size >= SMALL_PIXELS else self.small_settings
+    def _limits(self, fit: HelixFit) -> Belief:
+        return self.settings.whole if fit.size >= self.settings.small_pixels else self.settings.small
 
-    def is_believed(self, fit: HelixFit, limits: HelixDetectorSettings) -> bool:
+    def is_believed(self, fit: HelixFit, limits: Belief) -> bool:
         """Whether a fit is the target."""
         last, range_m = fit.last, float(np.hypot(*fit.state.axis))
         on = last.shown.cover > 0.5
         fitting = last.fitting[on]
-        if len(fitting) < limits.pixels_min or fitting.mean() < limits.fitting_min or range_m > limits.farthest_m:
+        if (
+            len(fitting) < limits.pixels_min
+            or fitting.mean() < limits.fitting_min
+            or range_m > self.settings.farthest_m
+        ):
             return False
         contrast, dark = float(np.median(last.contrast[on])), float(np.median(last.dark[on]))
         missed = _missed(fit)
@@ -149,7 +150,7 @@ class HelixDetector:
         by_fit = np.eye(3)
         by_fit[:2, 2] = [offset[1], -offset[0]]
         cov = by_fit @ fit.cov @ by_fit.T
-        known = _is_turned(fit, self.settings)
+        known = _is_turned(fit, self.settings.whole)
         return Detection(Pose2(*place, heading), (cov + cov.T) / 2, known, self._outlines(fit.state.axis))
 
     def _outlines(self, axis: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -172,7 +173,7 @@ def _between(one: Pose2, other: Pose2) -> np.ndarray:
     return np.array([x, y, wrap(theta)])
 
 
-def _is_turned(fit: HelixFit, limits: HelixDetectorSettings) -> bool:
+def _is_turned(fit: HelixFit, limits: Belief) -> bool:
     """Whether the fit knows the heading."""
     return bool(fit.cov[2, 2] <= limits.heading_sigma_max_rad**2)
 

@@ -1,10 +1,11 @@
 """The pose of a helix target from every pixel of its mantle: predicted grey levels are fitted to the picture.
 
 Gauss-Newton finds the axis, the heading and the blur, first in a coarse picture, then in a fine one, with weights that
-fall for what the target cannot be (Huber 1981). The covariance is that of independent pixels, scaled by their
+fall for what the target cannot be. The covariance is that of independent pixels, scaled by their
 residuals, or by what a sandwich (White 1980) exceeds it, where one does: with the pixels of half a row as a cluster,
 which share how the row lies to an edge; with columns as clusters, which share how they lie to the silhouette and to
-the light; with the two limbs and the two halves between them, which show when something beside the target pulls at it.
+the light; with the two limbs, and the upper and the lower half between them, which show when something beside the
+target pulls at it.
 """
 
 from dataclasses import dataclass
@@ -28,12 +29,14 @@ CONVERGED = 1.0  # sigma of independent pixels: the step is still taken, and wha
 COVERS = np.array([0.02, 0.16, 0.5, 0.84, 0.98])  # shares of a pixel within the silhouette: one sigma of blur apart
 SINES = 8  # steps from the facing generator to the limb
 LIMB_SINE = 0.85  # of the angle from the facing generator, from which on it is the silhouette that counts
-PLAUSIBLE, PLAUSIBLE_PART = 0.85, 0.75  # share of the variance that a coarse fit explains
+PLAUSIBLE, PLAUSIBLE_PART = 0.85, 0.75  # share of the variance that a fit explains, the coarse one already
 DARKNESS = 0.7  # light less dark, in dark, at least
 MARGIN_PX = 4  # around the target
 LEAST_SCALE = 0.2  # of the variance by the residuals: few of them may be small by chance
 PARAMETERS = 15  # that are fitted, those of the light included
-ROW_PARAMETERS, COLUMN_PARAMETERS = 8, 9  # of them, that rows and that columns tell apart (MacKinnon and White 1985)
+# Of them, what rows tell apart (pose, blur, slope of the light, haze, what is below and above) and what columns do
+# (pose, blur, six of the light): so many clusters are as good as lost.
+ROW_PARAMETERS, COLUMN_PARAMETERS = 8, 9
 
 
 class Sought(NamedTuple):
@@ -160,12 +163,17 @@ def _covariance(pixels: Pixels, state: State, last: Linearized, level: int) -> n
         shown.cover < COVERS[-1], np.searchsorted(COVERS, shown.cover), len(COVERS) + np.abs(shown.sine) * SINES
     )
     column = column.astype(int) + count * (shown.sine > 0)
+    # A sum along a row or a column has the noise that smoothing took along it already, and lacks that of the other way.
     by_row = np.add.reduceat(pulls, pixels.starts, axis=1) * share**0.25
     by_column = np.stack([np.bincount(column, pull, 2 * count) for pull in pulls]) * share**0.25
-    by_part = pulls @ (part[:, None] == np.arange(4))
+    by_part = pulls @ (part[:, None] == np.arange(4))  # has it both ways; of four clusters no scatter can be told
+    columns = np.count_nonzero(np.bincount(column))
     ratios = []
-    for sums, lost in ((by_row, ROW_PARAMETERS), (by_column, COLUMN_PARAMETERS), (by_part, 0)):
-        few = _small_sample(sums.shape[1], lost) if lost else 1.0
+    for sums, few in (
+        (by_row, _small_sample(by_row.shape[1], ROW_PARAMETERS)),
+        (by_column, _small_sample(columns, COLUMN_PARAMETERS)),
+        (by_part, 1.0),
+    ):
         ratios.append(few * np.sum((sight @ (inverse @ sums)[:3]) ** 2, axis=1) / expected)
     stretch = np.sqrt(np.maximum(1.0, np.max(ratios, axis=0)))
     turn = sight.T @ (stretch[:, None] * sight)

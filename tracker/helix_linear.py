@@ -1,8 +1,9 @@
 """The picture about a pose of a helix target: what every pixel of its mantle says of the pose, all else eliminated.
 
 Lambert's law makes the light on the mantle a function of the normal alone: 1, sin and cos of the angle from the facing
-generator, and two more terms where a part of it lies in its own shade. What is beside the silhouette is unknown: one
-grey level for each half of each row. Both enter linearly and are eliminated (variable projection: Golub and Pereyra
+generator, and four products of these where a part of it lies in its own shade; besides, it may grow with the height,
+there may be haze, and what is below and above the mantle has its own grey. What is beside the silhouette is unknown:
+one grey level for each half of each row. Both enter linearly and are eliminated (variable projection: Golub and Pereyra
 1973, Kaufman 1975).
 """
 
@@ -16,7 +17,7 @@ from tracker.helix_model import Pixels, Shown, shown
 from tracker.pyramid import usual_blur
 
 BLUR_SIGMA = 0.4  # of the logarithm of the blur, before it is seen
-HUBER = 3.0  # sigmas; beyond, weights fall with the square
+OUTLIER = 3.0  # sigmas; beyond, weights fall with the square, so that the pull of what is far off vanishes
 LEAST_VARIANCE = 1 / 12  # of a grey level: it is rounded
 QUANTILE, QUANTILE_SIGMAS = 0.25, 0.31864  # of a normal distribution's absolute values
 LEAST_PIXELS = 20
@@ -153,7 +154,7 @@ def _weights(pixels: Pixels, s: Shown, noise: Noise, beside, before) -> tuple[np
     uneven = UNEVEN * np.maximum(uneven, 0.0) + BETWEEN * _between_rows(before.beside[pixels.starts])
     variance = variance + outside * np.take(uneven, pixels.half)
     pull = off / variance
-    return np.minimum(1.0, HUBER**2 / np.maximum(pull, 1e-9)) / variance, pull < HUBER**2
+    return np.minimum(1.0, OUTLIER**2 / np.maximum(pull, 1e-9)) / variance, pull < OUTLIER**2
 
 
 def _between_rows(level: np.ndarray) -> np.ndarray:

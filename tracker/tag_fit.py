@@ -8,7 +8,8 @@ the pixels' area as a box. Along a straight edge only the smear across it matter
 with (s, t) where the ray through a pixel's centre meets the face, in modules from its middle, right and down. Grey
 levels are linear in a dark level, a gain, its slopes across the picture, and what lies beyond the edges of a small
 face. These are eliminated (variable projection: Golub and Pereyra 1973, Kaufman 1975); Gauss-Newton finds the others.
-The covariance is at least the sandwich of White (1980), the pixels of a module being a cluster: they may err together.
+The covariance is that of independent pixels, scaled by how much the sandwich of White (1980) exceeds it on average over
+x, y and heading; the pixels of a module are a cluster: they may err together. Of tiny tags the largest ratio counts.
 """
 
 from dataclasses import dataclass
