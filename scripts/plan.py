@@ -1,7 +1,9 @@
 """Paths over the map of a finished run: shortest, safest, widest, or the front of length against uncertainty.
 
 Places are in the frame of the map, whose origin is the first robot's start. The shortest path is exact in the mapped
-polygon; with a radius, in what the polygon leaves to the robot's centre, corners rounded to 1 mm.
+polygon; with a radius, in what the polygon leaves to the robot's centre, corners rounded to 1 mm. It grazes every
+corner around which it bends, so that a robot on it touches the wall there with about even odds, however well it knows
+its place: plan with a larger radius than the robot's for room to err.
 """
 
 import sys
@@ -32,6 +34,8 @@ from coopslam.report.number_text import percent
 from coopslam.report.path_figure import NamedRoute, draw_routes
 from coopslam.report.run_directory import fresh_directory, write_json
 
+GRAZING_M = 0.005  # a path with less clearance touches walls by construction
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Plan, write, show. Exit code 3 when no path leads to the goal."""
@@ -57,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             draw_routes(map_graph, named, _title(options)).savefig(out / FIGURE, dpi=150)
     except OSError as error:
         raise cannot_write(out, error, done=True) from error
-    _show(named, _title(options))
+    _show(named, _title(options), options.robot_radius_m)
     print(f"{out / PATHS} and what belongs to it written")
     return 0
 
@@ -78,7 +82,7 @@ def _title(options: Namespace) -> str:
     return f"{name}: {ways[options.model]}{size}"
 
 
-def _show(named: Sequence[NamedRoute], title: str) -> None:
+def _show(named: Sequence[NamedRoute], title: str, radius_m: float) -> None:
     table = Table(title=title)
     table.add_column("path", no_wrap=True)
     for column in (
@@ -97,11 +101,15 @@ def _show(named: Sequence[NamedRoute], title: str) -> None:
             f"{figures['length_m']:.3f}",
             f"{100 * figures['final_sigma_m']:.2f}",
             f"{degrees(figures['final_heading_sigma_rad']):.2f}",
-            f"{figures['clearance_m']:.3f}",
+            f"{round(figures['clearance_m'], 3) + 0.0:.3f}",  # not -0.000
             percent(float(f"{figures['touching_probability']:.2g}")),
             str(len(figures["triangles"])),
         )
     print_table(table)
+    grazing = [one.name for one in named if one.route.clearance_m < GRAZING_M]
+    if grazing:
+        radius = "a radius" if not radius_m else f"a radius larger than {radius_m:g} m"
+        print(f"{', '.join(grazing)}: about even odds to touch wherever a wall is grazed; {radius} gives room to err")
 
 
 def _parser() -> OneLineParser:

@@ -63,6 +63,18 @@ def test_shortest_is_as_short_as_brute_force(finished, tmp_path):
     assert not (tmp_path / "plan" / "paths.png").exists()
 
 
+def test_a_path_that_grazes_walls_is_said_to(finished, tmp_path, capsys):
+    """The shortest path bends around corners; its clearance of zero is no negative number."""
+    for radius, said in ((0, "; a radius gives"), (0.1, "; a radius larger than 0.1 m gives")):
+        out = tmp_path / str(radius)
+        planned(finished, out, "--figures", "none", "--objective", "shortest,widest", "--robot-radius", radius)
+        printed = " ".join(capsys.readouterr().out.split())
+        assert f"shortest: about even odds to touch wherever a wall is grazed{said} room to err" in printed
+        assert "-0.000" not in printed
+        touches = load(out / "plan.json")["paths"]["shortest"]["touching_probability"]
+        assert 0.2 < touches < 0.9  # a quarter of a turn is wall, and there is a corner or two
+
+
 def test_covariance_along_the_path(finished, tmp_path):
     """Stations stand on the path, in order; their covariances grow on odometry, and end as the summary says."""
     told, features = planned(finished, tmp_path / "plan", "--figures", "none", "--model", "odometry")

@@ -108,6 +108,6 @@ def test_who_sees_corners_touches_less():
         touching_probability(
             map_graph, walk_along(map_graph, points, m.stops(map_graph, points)), m, start_covariance(map_graph), 0.3
         )
-        for m in (OnOdometry(), WithCorners(reach_m=0.6))
+        for m in (OnOdometry(), WithCorners(reach_m=3.0))
     ]
     assert chances[0] > chances[1] + four_standard_errors(chances[0]) > 0.01

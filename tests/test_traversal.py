@@ -6,13 +6,14 @@ import gtsam
 import numpy as np
 import pytest
 import shapely
+from drift_by_quadrature import straight_by_quadrature
 from made_maps import LAWS, TWO_LANES, made_graph, made_map
 from scipy.integrate import quad
 
 from coopslam.errors import BadInput
 from coopslam.planning.map_graph import MapGraph
 from coopslam.planning.sensor_laws import OdometryLaw, SensorLaws, SightingLaw
-from coopslam.planning.travel_belief import TravelBelief, barycentric, leg_covariance
+from coopslam.planning.travel_belief import ASTRAY, FIRST_VERTEX, TravelBelief, barycentric, leg_covariance
 from coopslam.planning.traversal import (
     Escorted,
     OnOdometry,
@@ -21,7 +22,7 @@ from coopslam.planning.traversal import (
     start_covariance,
     travel,
 )
-from coopslam.planning.walk import walk_along
+from coopslam.planning.walk import AIM_M, Walk, left_astray, walk_along
 
 HALL = shapely.Polygon([(0, 0), (8, 0), (8, 3), (0, 3)])
 EAST = np.array([[1.0, 1.0], [7.0, 1.0]])
@@ -42,14 +43,11 @@ def test_error_of_a_leg_is_the_integral_over_its_drift():
 
 
 def test_a_straight_way_in_a_certain_map_adds_up_what_was_recorded():
-    """6 m east in 0.2 m stations is one leg of 6 m: variances by hand."""
+    """6 m east in 0.2 m stations is one leg of 6 m."""
     map_graph = made_map(HALL, sigma_m=0.0)
     done = trip(map_graph, EAST, OnOdometry(), np.zeros((3, 3)))
-    law = LAWS.odometry
-    q = law.heading_sigma_per_m**2
-    expected = np.diag([law.translation_sigma_per_m**2 * 6, q * 6**3 / 3, q * 6])
-    expected[1, 2] = expected[2, 1] = q * 6**2 / 2
-    np.testing.assert_allclose(done.covariances[-1], expected, atol=1e-14)
+    expected = straight_by_quadrature(6.0, LAWS.odometry, 0.0)
+    np.testing.assert_allclose(done.covariances[-1], expected, rtol=1e-9, atol=1e-12)
     assert len(done.covariances) == len(done.walk.points) >= 31
 
 
@@ -58,6 +56,8 @@ def test_slippery_triangles_count_where_they_are_crossed():
     graph = made_graph(HALL, sigma_m=0.0)
     first, second = graph.nodes
     graph.nodes[second]["odometry_sigma_per_m"] *= 5
+    for triangle in graph.nodes:
+        graph.nodes[triangle]["odometry_heading_sigma_per_m"] = 0.0
     map_graph = MapGraph.from_graph(graph)
     done = trip(map_graph, EAST, OnOdometry(), np.zeros((3, 3)))
     line = shapely.LineString(EAST)
@@ -121,7 +121,7 @@ def test_the_belief_is_that_of_least_squares_over_the_whole_way():
     triangle = map_graph.triangle_at(*bends[0])
     start_cov = np.diag([0.01, 0.02, 0.015]) ** 2
     belief = TravelBelief(map_graph, vertices, bends[0], triangle, start_cov)
-    around = belief.around(bends[0], triangle)[:, 6:]
+    around = belief.around(bends[0], triangle)[:, FIRST_VERTEX:]
     legs, heading = [], 0.0
     for k, seen in ((1, [1, 0]), (2, [2, 1, 3])):
         way = bends[k] - bends[k - 1]
@@ -142,7 +142,7 @@ def test_the_belief_is_that_of_least_squares_over_the_whole_way():
     first = float(np.arctan2(*(bends[1] - bends[0])[::-1]))
     start = {"pose": [*bends[0], first], "cov": start_cov, "around": around}
     expected = dense_least_squares(map_graph, vertices, start, legs)
-    pick = np.r_[0:3, 6 : len(belief.cov)]
+    pick = np.r_[0:3, FIRST_VERTEX : len(belief.cov)]
     np.testing.assert_allclose(belief.cov[np.ix_(pick, pick)], expected, atol=1e-9 * expected.max(), rtol=1e-6)
 
 
@@ -171,8 +171,8 @@ def test_the_map_around_a_point_moves_as_its_corners_do():
     triangle = map_graph.triangle_at(*point)
     belief = TravelBelief(map_graph, list(map_graph.vertices), point, triangle, np.zeros((3, 3)))
     errors = np.zeros(len(belief.cov))
-    for k, vertex in enumerate(map_graph.vertices.values()):
-        errors[6 + 3 * k : 9 + 3 * k] = [shift[0] - angle * vertex.xy[1], shift[1] + angle * vertex.xy[0], angle]
+    for k, vertex in map_graph.vertices.items():
+        errors[belief.place(k)] = [shift[0] - angle * vertex.xy[1], shift[1] + angle * vertex.xy[0], angle]
     expected = [shift[0] - angle * point[1], shift[1] + angle * point[0], angle]
     np.testing.assert_allclose(belief.around(point, triangle) @ errors, expected, atol=1e-18)
 
@@ -212,9 +212,13 @@ def test_a_walk_out_of_the_map_is_refused():
         walk_along(made_map(HALL), np.array([[1.0, 1.0], [9.0, 1.0]]))
     with pytest.raises(BadInput, match=r"leaves the map at \(5.000, 2.000\)"):
         walk_along(made_map(TWO_LANES), np.array([[5.0, 1.0], [5.0, 3.0]]))  # through the island
+    with pytest.raises(BadInput, match=r"leaves the map at \(5.000, 2.000\)"):  # through it twice, and out
+        walk_along(made_map(TWO_LANES), np.array([[5.0, 1.0], [5.0, 3.0], [6.0, 3.0], [6.0, -1.0]]))
+    with pytest.raises(BadInput, match=r"leaves the map at \(9.000, 1.000\)"):
+        walk_along(made_map(HALL), np.array([[9.0, 1.0]]))
 
 
-def test_corners_are_seen_once_on_each_leg_and_not_through_walls():
+def test_corners_are_seen_once_in_passing_and_not_through_walls():
     """Past the island's south side at 0.3 m: its two southern corners, once each; a northern one stands behind it."""
     map_graph = made_map(TWO_LANES)
     places = {v: tuple(vertex.xy.tolist()) for v, vertex in map_graph.vertices.items()}
@@ -227,18 +231,61 @@ def test_corners_are_seen_once_on_each_leg_and_not_through_walls():
     around = WithCorners(reach_m=0.6).stops(map_graph, np.array([[3.2, 1.0], [3.2, 2.2], [3.2, 3.5]]))
     assert sorted((stop.leg, places[stop.vertex], stop.along) for stop in around) == [
         (0, (3.5, 2.0), pytest.approx(1.0 / 1.2)),
-        (0, (3.5, 2.0), 1.0),  # from the second leg's start: the bend, which counts for the leg that ends there
-        (0, (3.5, 2.4), 1.0),
         (1, (3.5, 2.4), pytest.approx(0.2 / 1.3)),
     ]
+    angles = np.linspace(-np.pi / 2, np.pi / 2, 60)  # around the west end in chords, as paths around corners are
+    round_it = np.column_stack([3.5 - 0.3 * np.cos(angles), 2.2 + 0.5 * np.sin(angles)])
+    assert sorted(places[stop.vertex] for stop in WithCorners().stops(map_graph, round_it)) == [(3.5, 2.0), (3.5, 2.4)]
+    there_and_back = np.array([[2.0, 1.7], [4.0, 1.7], [2.0, 1.6]])
+    again = WithCorners(reach_m=0.45).stops(map_graph, there_and_back)
+    assert [(stop.leg, places[stop.vertex]) for stop in again] == [(0, (3.5, 2.0)), (1, (3.5, 2.0))]
+
+
+def test_only_what_is_surely_within_reach_is_seen():
+    """A corner 0.3 m aside after 1.5 and after 11 m on odometry, with a reach of 0.5 m."""
+    map_graph = made_map(TWO_LANES, sigma_m=0.001)
+    points = np.array([[2.0, 1.7], [14.0, 1.7]])
+    model = WithCorners(reach_m=0.5)
+    done = trip(map_graph, points, model)
+    seen = [map_graph.vertices[v].xy.tolist() for vertices in done.looks.values() for v in vertices]
+    assert seen == [[3.5, 2.0]]
+    assert len(model.stops(map_graph, points)) == 2
+    # after 9 m more the robot is off by 0.03 * sqrt(9^3 / 3) = 0.47 m across: it may be elsewhere
+    wide = trip(map_graph, points, WithCorners(reach_m=3.0))
+    assert [3.5, 2.0] in [map_graph.vertices[v].xy.tolist() for some in wide.looks.values() for v in some]
+    assert len(wide.looks) > 1
+
+
+def test_a_measurement_moves_the_belief_and_not_the_robot():
+    """Its true place less its way: the same before and after, then back to the leg's end but for what is not known."""
+    map_graph = made_map(HALL, sigma_m=0.02)
+    belief = TravelBelief(map_graph, list(map_graph.vertices), np.array([1.0, 1.0]), 0, np.diag([0.1, 0.2, 0.1]) ** 2)
+    belief.drive(np.array([3.0, 1.0]), LAWS.odometry)
+    nothing = np.zeros((3, len(belief.cov)))
+    before = belief.true_place_covariance(nothing)
+    belief.sight_corner(0, LAWS.finder)
+    np.testing.assert_allclose(belief.true_place_covariance(nothing), before, rtol=1e-9)
+    known = belief.cov[:2, :2]
+    assert known[1, 1] < 0.2 * before[1, 1]
+    # a known correction is uncorrelated with what is still wrong (orthogonality of the least squares estimate)
+    np.testing.assert_allclose(belief.cov[ASTRAY, :3], 0.0, atol=1e-9 * before.max())
+    belief.steer_back(0.5)
+    np.testing.assert_allclose(belief.true_place_covariance(nothing), known + (before - known) / 4, rtol=1e-9)
+
+
+def test_what_is_left_of_being_astray():
+    """Legs of 2 and 1 m, the first with a needless point in it: straight to their ends, until 0.3 m before them."""
+    stations = np.array([[1.0, 1.0], [1.5, 1.0], [2.0, 1.0], [2.9, 1.0], [3.0, 1.0], [3.0, 1.5], [3.0, 2.0]])
+    found = np.cumprod(left_astray(Walk(stations, [0] * 6, 0)))
+    assert AIM_M == 0.3
+    np.testing.assert_allclose(found, [1.5 / 2, 1.0 / 2, 0.3 / 2, 0.15, 0.15 * 0.5, 0.15 * 0.3])
 
 
 def test_who_sees_corners_knows_more_and_who_is_escorted_most():
     map_graph = made_map(TWO_LANES)
     points = [[2.0, 1.7], [14.0, 1.7]]
-    alone, corners, escorted = (
-        trip(map_graph, points, model_named(name)).covariances for name in ("odometry", "corners", "escorted")
-    )
+    models = OnOdometry(), WithCorners(reach_m=2.5), Escorted()
+    alone, corners, escorted = (trip(map_graph, points, model).covariances for model in models)
     sigmas = [float(np.sqrt(np.trace(covs[-1][:2, :2]))) for covs in (alone, corners, escorted)]
     assert sigmas[0] > 2 * sigmas[1] > 4 * sigmas[2]
     # a look at the last corner, 1.5 m before the end, leaves what 1.5 m of odometry and of its heading's doubt bring

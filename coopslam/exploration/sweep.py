@@ -97,7 +97,11 @@ def stands_between(chart: Chart, sweep: Sweep, vertex: int) -> bool:
 
 def gate_ahead(chart: Chart, sweep: Sweep) -> tuple[int | None, float | None]:
     """The first open gate across the line of contact prolonged beyond the mover: its end on the unexplored side,
-    and how far away the gate is, m."""
+    and how far away the gate is, m.
+
+    A gate one end of which may lie on the line, for all that is known of it, is across it too: who drives past that end
+    on the wrong side is in explored space.
+    """
     here = chart.position(sweep.corner)
     way = here - chart.position(sweep.pivot)
     way = way / np.hypot(*way)
@@ -105,14 +109,36 @@ def gate_ahead(chart: Chart, sweep: Sweep) -> tuple[int | None, float | None]:
     for gate in chart.free_map.gates:
         if set(gate) & set(sweep.gate):
             continue
-        u, v = (chart.position(vertex) - here for vertex in gate)
-        side_u, side_v = way[0] * u[1] - way[1] * u[0], way[0] * v[1] - way[1] * v[0]
-        if side_u * side_v >= 0:
+        ends = np.array([chart.position(vertex) for vertex in gate]) - here
+        sides = sweep.turn * (way[0] * ends[:, 1] - way[1] * ends[:, 0])  # m; positive: unexplored
+        doubtful = [k for k in (0, 1) if ends[k] @ way > 0 and abs(sides[k]) <= _doubt_of_side(chart, sweep, gate[k])]
+        if sides[0] * sides[1] < 0:
+            share = sides[0] / (sides[0] - sides[1])
+            metres, last = float(way @ (ends[0] + share * (ends[1] - ends[0]))), gate[int(np.argmax(sides))]
+        elif len(doubtful) == 1:
+            touched, other = doubtful[0], 1 - doubtful[0]
+            metres, last = float(way @ ends[touched]), gate[other if sides[other] > 0 else touched]
+        else:
             continue
-        metres = float(way @ (u + (v - u) * side_u / (side_u - side_v)))
         if metres > 0 and (best_m is None or metres < best_m):
-            best, best_m = (gate[0] if sweep.turn * side_u > 0 else gate[1]), metres
+            best, best_m = last, metres
     return best, best_m
+
+
+def _doubt_of_side(chart: Chart, sweep: Sweep, vertex: int) -> float:
+    """How far a vertex beyond the mover may be off the line of contact prolonged and still lie on it, m."""
+    here, pivot = chart.position(sweep.corner), chart.position(sweep.pivot)
+    way, known = here - pivot, (sweep.pivot, sweep.corner, vertex)
+    length = float(np.hypot(*way))
+    lever = float(way @ (chart.position(vertex) - here)) / length**2  # of the vertex, over that of the gate
+    sideways = np.array([-way[1], way[0]]) / length
+    rows = [
+        share * sideways @ rotation(chart.vertex(place).theta())
+        for share, place in zip((lever, -1 - lever, 1.0), known, strict=True)
+    ]
+    jacobian = np.concatenate([np.append(row, 0.0) for row in rows])
+    joint = chart.estimate.joint_covariance([chart.estimate.vertex_key(place) for place in known])
+    return chart.settings.place_sigmas * float(np.sqrt(max(jacobian @ joint @ jacobian, 0.0))) + SAME_PLACE_M
 
 
 def ahead_angles(chart: Chart, sweep: Sweep, places: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from coopslam.planning.map_graph import MapGraph
 from coopslam.planning.shortest import ShortestPaths
 from coopslam.planning.touching import touching_probability
 from coopslam.planning.traversal import OnOdometry, TraversalModel, start_covariance, travel
-from coopslam.planning.walk import walk_along
+from coopslam.planning.walk import SAME_M, walk_along
 
 CANDIDATES = 4  # ways through different channels that are judged with the whole map
 LONGEST_DETOUR = 2.0  # of the shortest path, where measurements might pay for any
@@ -80,7 +80,7 @@ def safest(map_graph: MapGraph, start, goal, model: TraversalModel, robot_radius
     """The path with the least trace of the position's covariance at the goal. Arguments and errors as `shortest`."""
     model.require(map_graph)
     plan = _Plan(map_graph, start, goal, model, robot_radius_m)
-    return plan.route(_safest(plan.judged(plan.safe_ways())))
+    return plan.route(_safest(plan.judged(plan.candidates(with_length=False))))
 
 
 def pareto(map_graph: MapGraph, start, goal, model: TraversalModel, robot_radius_m: float = 0.0) -> list[Route]:
@@ -91,9 +91,7 @@ def pareto(map_graph: MapGraph, start, goal, model: TraversalModel, robot_radius
     """
     model.require(map_graph)
     plan = _Plan(map_graph, start, goal, model, robot_radius_m)
-    labels = sorted(plan.search(with_length=True), key=lambda label: label.length_m)
-    ways = [plan.pulled(label, weight) for label, weight in zip(labels, _slopes(labels), strict=True)]
-    return [plan.route(way) for way in front(plan.judged([*ways, *plan.safe_ways()]))]
+    return [plan.route(way) for way in front(plan.judged(plan.candidates(with_length=True)))]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +130,7 @@ def widest(map_graph: MapGraph, start, goal, model: TraversalModel, robot_radius
 
 def _widest(map_graph: MapGraph, start, goal, robot_radius_m: float) -> np.ndarray:
     bends = _shortest(map_graph, start, goal, robot_radius_m)
-    if len(bends) == 1:
+    if _length(bends) < SAME_M:
         return bends
     narrow, wide = robot_radius_m, float(np.sqrt(map_graph.polygon.area / np.pi))  # no wider disc fits in
     while wide - narrow > WIDTH_TOLERANCE_M:
@@ -152,16 +150,24 @@ class _Plan:
         self.map, self.model, self.radius_m = map_graph, model, radius_m
         self.shortest = _shortest(map_graph, start, goal, radius_m)
         self.start, self.goal = self.shortest[0], self.shortest[-1]
-        self.longest_m = LONGEST_DETOUR * _length(self.shortest)
-        if isinstance(model, OnOdometry):
-            self.longest_m = np.inf
+        self.measures = not isinstance(model, OnOdometry)
+        self.longest_m = LONGEST_DETOUR * _length(self.shortest) if self.measures else np.inf
         self.ways = self._lattice({gate: spread(map_graph, gate, radius_m) for gate in gates_of(map_graph)})
 
-    def safe_ways(self) -> list[np.ndarray]:
-        """What the safest path is chosen from."""
-        labels = self.of_different_channels(self.search(with_length=False))
-        widest_one = _widest(self.map, self.start, self.goal, self.radius_m)
-        return [self.shortest, widest_one, *(self.pulled(label, 0.0) for label in labels)]
+    def candidates(self, with_length: bool) -> list[np.ndarray]:
+        """What the safest path is chosen from, or with_length the front, as the search found it and pulled straight.
+
+        With measurements the safest one is chosen from the front as well: whether a corner is surely within reach is a
+        matter of where exactly the way runs, which the search does not know.
+        """
+        ways = [self.shortest, _widest(self.map, self.start, self.goal, self.radius_m)]
+        for label in self.of_different_channels(self.search(with_length=False)):
+            ways += [self.ways.points[label.way()], self.pulled(label, 0.0)]
+        if with_length or self.measures:
+            labels = sorted(self.search(with_length=True), key=lambda label: label.length_m)
+            for label, weight in zip(labels, _slopes(labels), strict=True):
+                ways += [self.ways.points[label.way()], self.pulled(label, weight)]
+        return ways
 
     def judged(self, ways: Sequence[np.ndarray]) -> list[Judged]:
         """Their lengths and final uncertainties, by the whole joint covariance of the map."""

@@ -2,8 +2,10 @@
 
 Every covariance is written down as what it will be at the goal: an error of pose carried there, the map held fixed. In
 these axes a drive without error changes nothing, odometry adds a matrix that depends on nothing but where it was
-driven, P -> P + Q, and a measurement adds another to the inverse, P -> (P^-1 + L)^-1. Both keep the Loewner order
-(P <= P' when P' - P has no negative eigenvalue): who is better by it stays better, whatever comes. So:
+driven, P -> P + Q, and a measurement adds another to the inverse, P -> (P^-1 + L)^-1; a corner is counted on only
+where P is small enough to be sure of it, and then it is for every smaller one. All keep the Loewner order (P <= P'
+when P' - P has no negative eigenvalue): who is better by it stays better, whatever comes. Errors are those of first
+order, drift included; the ways found are judged without that (`traversal.travel`). So:
 
 * On odometry alone the trace of the position's covariance at the goal is a sum of costs of zero or more along the way.
   Labels are settled in the order of that number, as in Dijkstra (1959): exact among the ways offered.
@@ -29,8 +31,8 @@ from coopslam.planning.lattice import Lattice
 from coopslam.planning.map_graph import MapGraph
 from coopslam.planning.sensor_laws import OdometryLaw
 from coopslam.planning.travel_belief import carried, leg_covariance
-from coopslam.planning.traversal import OnOdometry, TraversalModel
-from coopslam.se2 import wrap
+from coopslam.planning.traversal import SURE_SIGMAS, OnOdometry, TraversalModel
+from coopslam.se2 import largest_sigma, wrap
 
 MOST_LABELS = 8  # at one point
 EPSILON = 0.01  # of length and of covariance
@@ -63,6 +65,20 @@ class Label:
         return points[::-1]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Stage:
+    """Part of an arc that ends with a measurement; all at the goal."""
+
+    noise: np.ndarray  # (3, 3) of odometry since the last one
+    information: np.ndarray  # (3, 3) that it brings
+    here: np.ndarray  # (2, 3) by which an error of pose at the goal is one of place here
+    room_m: float  # by how much the robot may be elsewhere
+
+    def is_sure(self, cov: np.ndarray) -> bool:
+        """Whether a robot with a (3, 3) covariance gets the measurement: less uncertain ones do, too."""
+        return self.room_m == np.inf or SURE_SIGMAS * largest_sigma(self.here @ cov @ self.here.T) <= self.room_m
+
+
 class Costs:
     """What the arcs of a lattice do to a label."""
 
@@ -78,8 +94,8 @@ class Costs:
         self.levers = carried(goal - ways.points)[:, :, 2]
         self.worst_per_rad = np.zeros(len(ways.points))
         np.maximum.at(self.worst_per_rad, ways.tails, self.per_rad)
-        # of each arc: (odometry noise until something is measured, information that it brings) in turn; then the rest
-        self.stages: list[list[tuple[np.ndarray, np.ndarray]]] = []
+        # of each arc: what is measured on it in turn, and the odometry noise of the rest
+        self.stages: list[list[Stage]] = []
         self.noise = np.empty((len(ways.tails), 3, 3))
         arcs = zip(ways.triangles.tolist(), starts, ends, ways.pivots.tolist(), strict=True)
         for arc, (triangle, start, end, pivot) in enumerate(arcs):
@@ -87,7 +103,9 @@ class Costs:
             for fix in model.fixes(map_graph, triangle, start, end, pivot):
                 place = start + fix.along * (end - start)
                 back = carried(fix.at - goal)
-                stages.append((self._noise(at, place, laws[triangle]), back.T @ np.linalg.solve(fix.cov, back)))
+                information = back.T @ np.linalg.solve(fix.cov, back)
+                noise = self._noise(at, place, laws[triangle])
+                stages.append(Stage(noise, information, carried(place - goal)[:2], fix.room_m))
                 at = place
             self.noise[arc] = self._noise(at, end, laws[triangle])
             self.stages.append(stages)
@@ -106,10 +124,12 @@ class Costs:
             turns = self.per_rad[arcs] * np.abs(wrap(self.headings[arcs] - label.heading_rad))
             cov += turns[:, None, None] * np.outer(lever, lever)
         for k in np.flatnonzero(self.measured[arcs]):
-            for noise, information in self.stages[arcs[k]]:
-                cov[k] += noise
+            for stage in self.stages[arcs[k]]:
+                cov[k] += stage.noise
+                if not stage.is_sure(cov[k]):
+                    continue
                 # (P^-1 + L)^-1 without inverting P, which may be singular
-                cov[k] = np.linalg.solve(np.eye(3) + cov[k] @ information, cov[k])
+                cov[k] = np.linalg.solve(np.eye(3) + cov[k] @ stage.information, cov[k])
                 cov[k] = (cov[k] + cov[k].T) / 2
         return cov + self.noise[arcs]
 

@@ -1,13 +1,11 @@
 """How likely a robot touches a wall on its way, for all that is uncertain: its own place, and where the walls are.
 
-The robot steers by what it believes, so it strays from its way by its error. Whole ways of errors are drawn from the
+The robot steers by what it believes, so it strays from its way by its error; what a measurement puts right in its
+belief it is off its way until it has steered back to the end of its leg. Whole ways of errors are drawn from the
 very steps by which the covariance was propagated, each with walls of its own, and those that come nearer to a wall
 than the robot's radius are counted. Chances of single places must not be added up, for errors at neighbouring ones are
 nearly the same; and propagating what is left of a normal distribution after each place (Patil, van den Berg and
 Alterovitz, 2012) missed a quarter of the touches on long ways beside walls, which drawing does not.
-
-What a robot finds wrong by a sighting counts as put right at once: on a way that grazes corner after corner each is a
-new chance, which is more than a robot risks that turns back to its way little by little.
 """
 
 from dataclasses import dataclass
@@ -15,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopslam.planning.map_graph import MapGraph
-from coopslam.planning.travel_belief import ROBOT, TravelBelief
+from coopslam.planning.travel_belief import ASTRAY, ROBOT, TravelBelief
 from coopslam.planning.traversal import TraversalModel, travel
 from coopslam.planning.walk import Walk, nearest_on_segment
 from coopslam.se2 import largest_sigma
@@ -47,7 +45,7 @@ def touching_probability(
     start_cov: (3, 3), as for `travel`.
     """
     rng = np.random.default_rng(0) if rng is None else rng
-    near = margins(map_graph, walk, travel(map_graph, walk, model, start_cov).arriving, radius_m)
+    near = margins(map_graph, walk, travel(map_graph, walk, model, start_cov).off_way, radius_m)
     ends = {vertex for some in near for margin in some for vertex in margin.wall}
     trip = travel(map_graph, walk, model, start_cov, sorted(ends))
     belief, touched, done = trip.belief, np.zeros(DRAWN, bool), 0
@@ -64,9 +62,9 @@ def touching_probability(
 def margins(map_graph: MapGraph, walk: Walk, covariances: np.ndarray, radius_m: float) -> list[list[Margin]]:
     """The walls and open gates that a robot may touch on the stretch to each station; at the first, where it stands.
 
-    covariances: (k, 3, 3) of the robot on arrival at the stations.
+    covariances: (k, 2, 2) of the robot's true place on arrival at the stations.
     """
-    reach = np.array([NEAR_SIGMAS * largest_sigma(cov[:2, :2]) for cov in covariances]) + radius_m
+    reach = np.array([NEAR_SIGMAS * largest_sigma(cov) for cov in covariances]) + radius_m
     found: list[list[Margin]] = [[] for _ in walk.points]
     befores = walk.points[[0, *range(walk.last)]]
     for a, b in (*map_graph.walls, *map_graph.gates):
@@ -97,10 +95,13 @@ def _nearest_pairs(
 def _touching(
     map_graph: MapGraph, belief: TravelBelief, margin: Margin, errors: np.ndarray, radius_m: float
 ) -> np.ndarray:
-    """(s,) which of (s, n) drawn errors bring the robot nearer to the wall than its radius, or behind it."""
+    """(s,) which of (s, n) drawn errors bring the robot nearer to the wall than its radius, or behind it.
+
+    Who got behind it around the tip of an acute obstacle counts, too: that is on the safe side.
+    """
     start, end = (map_graph.vertices[v].xy + errors[:, belief.place(v)][:, :2] for v in margin.wall)
     nominal = [map_graph.vertices[v].xy for v in margin.wall]
-    way, off = end - start, margin.place + errors[:, ROBOT][:, :2] - start
+    way, off = end - start, margin.place + errors[:, ROBOT][:, :2] + errors[:, ASTRAY] - start
     length_sq = np.maximum(np.sum(way * way, axis=1), 1e-18)
     along = np.sum(way * off, axis=1) / length_sq
     nearest = np.clip(along, 0.0, 1.0)[:, None] * way

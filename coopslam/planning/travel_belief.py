@@ -2,8 +2,13 @@
 
 The state is what is truly so minus what is believed, to first order, in the axes of the map: the robot's pose, the
 pose of a partner that stands and watches it, and the poses of the vertices that the way has to do with, whose joint
-covariance the map holds. All that happens is linear in it, x -> A x + noise of covariance W, and is written down: so
-the same chain tells the covariance at each place, the chance to touch a wall, and can be sampled.
+covariance the map holds. Beside them stands how far the robot believes to be off its way: what it finds wrong by a
+measurement moves its belief, not the robot, which then steers back to the end of its leg. All that happens is linear
+in it, x -> A x + noise of covariance W, and is written down: so the same chain tells the covariance at each place, the
+chance to touch a wall, and can be sampled.
+
+Between measurements nothing puts the heading right, and a long way on odometry alone is not linear in it. So the
+moments of the robot's place since the last one are also kept without linearization (`drift`), and these are told.
 
 An error of pose carried along a rigid motion by d turns its heading error into one across: e -> C(d) e (the adjoint,
 in axes that do not turn).
@@ -14,11 +19,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from coopslam.planning.drift import Drift
 from coopslam.planning.map_graph import MapGraph
 from coopslam.planning.sensor_laws import OdometryLaw, SightingLaw
 from coopslam.se2 import planar_rotation, rotation
 
-ROBOT, PARTNER = slice(0, 3), slice(3, 6)  # in the state; the vertices follow
+ROBOT, PARTNER, ASTRAY = slice(0, 3), slice(3, 6), slice(6, 8)  # in the state
+FIRST_VERTEX = 8  # where the vertices begin in it
 FLAT_M = 1e-6  # a triangle lower than this has no inside
 
 
@@ -27,8 +34,8 @@ class Move:
     """x[part] becomes rows @ x + noise."""
 
     part: slice
-    rows: np.ndarray  # (3, n)
-    noise: np.ndarray  # (3, 3)
+    rows: np.ndarray  # (p, n)
+    noise: np.ndarray  # (p, p)
 
     def cov(self, cov: np.ndarray) -> np.ndarray:
         """(n, n) of what had this covariance."""
@@ -75,13 +82,14 @@ class TravelBelief:
         relative to that triangle, axes of the map.
         """
         self.map, self.at = map_graph, np.asarray(start, float)
-        self._place = {vertex: 6 + 3 * k for k, vertex in enumerate(vertices)}
-        size = 6 + 3 * len(vertices)
+        self._place = {vertex: FIRST_VERTEX + 3 * k for k, vertex in enumerate(vertices)}
+        size = FIRST_VERTEX + 3 * len(vertices)
         self.cov = np.zeros((size, size))
-        self.cov[6:, 6:] = map_graph.joint_covariance(list(vertices))
+        self.cov[FIRST_VERTEX:, FIRST_VERTEX:] = map_graph.joint_covariance(list(vertices))
         self.first = self.cov  # before the robot is put down
         self.steps: list[Move | Correction] = []
         self._happen(Move(ROBOT, self.around(self.at, triangle), np.asarray(cov, float)))
+        self._begin_drift()
 
     def around(self, point: np.ndarray, triangle: int) -> np.ndarray:
         """(3, n) by which the errors of the vertices move and turn the map at a point of a triangle.
@@ -101,8 +109,27 @@ class TravelBelief:
         return rows
 
     def relative_covariance(self, triangle: int) -> np.ndarray:
-        """(3, 3) of the robot's pose relative to the map around it, in the triangle in which it is; axes of the map."""
+        """(3, 3) of the robot's pose relative to the map around it, in the triangle in which it is; axes of the map.
+
+        Mean squares of true less believed: where drift bends the way, the robot is on average short of its goal, and
+        that is part of it.  Exact but for what measurements left before.
+        """
         rows = self.robot_rows() - self.around(self.at, triangle)
+        cov, across = rows @ self._cov_then @ rows.T, rows @ self._drift.with_start(self._cov_then[:, 2])
+        cov[:, :2] += across
+        cov[:2] += across.T
+        cov[:2, :2] += self._drift.square()
+        cov[:2, 2] += self._drift.with_drift()
+        cov[2, :2] += self._drift.with_drift()
+        cov[2, 2] += self._drift.variance - self._drift.start_variance
+        return cov
+
+    def true_place_covariance(self, reference: np.ndarray) -> np.ndarray:
+        """(2, 2) of where the robot truly is less where its way has it, relative to the map; axes of the map.
+
+        reference: (3, n) which place of the map, as `around` or `vertex_rows`.
+        """
+        rows = (self.robot_rows() - reference)[:2] + np.eye(2, len(self.cov), ASTRAY.start)
         return rows @ self.cov @ rows.T
 
     def robot_rows(self) -> np.ndarray:
@@ -121,12 +148,18 @@ class TravelBelief:
         """The robot turns on the spot."""
         noise = np.diag([0.0, 0.0, law.heading_sigma_per_rad**2 * abs(angle_rad)])
         self._happen(Move(ROBOT, self.robot_rows(), noise))
+        self._drift.turn(angle_rad, law)
 
     def drive(self, to: np.ndarray, law: OdometryLaw) -> None:
         """The robot drives straight to (2,) `to`."""
         way = np.asarray(to, float) - self.at
         self._happen(Move(ROBOT, carried(way) @ self.robot_rows(), leg_covariance(way, law)))
+        self._drift.drive(way, law)
         self.at = np.asarray(to, float)
+
+    def steer_back(self, left: float) -> None:
+        """The robot believes to be off its way by a share `left` of what it was."""
+        self._happen(Move(ASTRAY, left * np.eye(2, len(self.cov), ASTRAY.start), np.zeros((2, 2))))
 
     def sight_corner(self, vertex: int, law: SightingLaw) -> None:
         """The robot sees a corner, from where it is: its place and the direction of its wall."""
@@ -154,7 +187,12 @@ class TravelBelief:
 
     def _measure(self, rows: np.ndarray, cov: np.ndarray) -> None:
         gain = np.linalg.solve(rows @ self.cov @ rows.T + cov, rows @ self.cov).T
+        gain[ASTRAY] = -gain[ROBOT][:2]  # the belief moves, the robot stays where it is
         self._happen(Correction(gain, rows, cov))
+        self._begin_drift()
+
+    def _begin_drift(self) -> None:
+        self._cov_then, self._drift = self.cov, Drift(float(self.cov[2, 2]))
 
     def _happen(self, step: Move | Correction) -> None:
         self.cov = step.cov(self.cov)

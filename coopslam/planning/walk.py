@@ -8,9 +8,12 @@ import shapely
 
 from coopslam.errors import BadInput
 from coopslam.planning.map_graph import MapGraph
+from coopslam.se2 import wrap
 
 FARTHEST_APART_M = 0.2  # stations of a way
 SAME_M = 1e-6
+SAME_DIRECTION_RAD = 1e-6
+AIM_M = 0.3  # who is so near the end of a leg keeps its direction, and is off it as before
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +53,8 @@ def walk_along(map_graph: MapGraph, points: np.ndarray, stops: Sequence[Stop] = 
     """A way through (k, 2) points in stretches. Raises BadInput where it leaves the map."""
     path = shapely.LineString(points) if len(points) > 1 else shapely.Point(points[0])
     if not map_graph.grown.covers(path):
-        x, y = path.difference(map_graph.grown).coords[0]
+        outside = shapely.get_coordinates(path.difference(map_graph.grown)).tolist()  # of one part or of many
+        x, y = outside[0] if len(points) == 1 else min(outside, key=lambda place: path.project(shapely.Point(place)))
         raise BadInput(f"the way leaves the map at ({x:.3f}, {y:.3f})")
     stations, triangles, sensed = [points[0]], [], {}
     for leg, (start, end) in enumerate(zip(points[:-1], points[1:], strict=True)):
@@ -73,6 +77,22 @@ def walk_along(map_graph: MapGraph, points: np.ndarray, stops: Sequence[Stop] = 
             sensed.setdefault(len(stations) - 1, []).extend(marks[b])
     home = triangles[0] if triangles else map_graph.nearest_triangle(*points[0])
     return Walk(np.array(stations), triangles, home, {station: found for station, found in sensed.items() if found})
+
+
+def left_astray(walk: Walk) -> np.ndarray:
+    """(k - 1,) which share of what a robot believes to be off its way is left after each stretch.
+
+    It heads for the end of its leg from wherever it is, until that is AIM_M away.
+    """
+    ways = np.diff(walk.points, axis=0)
+    lengths, headings = np.hypot(*ways.T), np.arctan2(ways[:, 1], ways[:, 0])
+    shares, left_m = np.ones(len(ways)), 0.0
+    for k in reversed(range(len(ways))):
+        if k + 1 < len(ways) and abs(wrap(headings[k + 1] - headings[k])) > SAME_DIRECTION_RAD:
+            left_m = 0.0  # a bend
+        shares[k] = max(left_m, AIM_M) / max(left_m + lengths[k], AIM_M)
+        left_m += lengths[k]
+    return shares
 
 
 def nearest_on_segment(start: np.ndarray, end: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,19 +2,21 @@
 
 Each robot has its own truth: the corners are drawn from the map's joint covariance, the robot is put down relative to
 them, its wheels slip by what was recorded in the triangle where it believes to be. It steers by its own estimate, an
-extended Kalman filter over its pose, its partner's and all corners, from leg to leg of its way.
+iterated extended Kalman filter (Bell and Cathey, 1993) over its pose, its partner's and all corners, from leg to leg of
+its way. Iterated, because the robots' own estimators relinearize, too: one linearization where 0.08 rad and 0.25 m are
+open leaves their product, 2 cm, in a place that one sighting tells to 7 mm.
 """
 
 import numpy as np
 
 from coopslam.planning.map_graph import MapGraph
 from coopslam.planning.sensor_laws import OdometryLaw, SightingLaw
-from coopslam.planning.traversal import Escorted, TraversalModel, finder, pivot, tracker
-from coopslam.planning.walk import Walk
+from coopslam.planning.traversal import Escorted, TraversalModel, WithCorners, finder, pivot, tracker
+from coopslam.planning.walk import AIM_M, Walk
 from coopslam.se2 import fit_pose, wrap
 
 STEP_M = 0.05  # of the simulation
-AIM_M = 0.3  # who is so near the end of a leg keeps its direction
+LOOKS = 3  # linearizations of one measurement: after a long way on odometry the first one is far off
 
 
 class Traversals:
@@ -94,13 +96,15 @@ class Traversals:
         bends = np.flatnonzero(np.abs(wrap(ahead - ahead[0])) > 1e-6)
         leg_end = stretch + (int(bends[0]) if len(bends) else len(ahead))
         way = self.walk.points[leg_end] - self.estimate[:, :2]
-        near = np.hypot(*way.T) < AIM_M  # who is beside its path there would turn for nothing
+        lengths = np.hypot(*planned.T)
+        left_m, planned_left_m = np.hypot(*way.T), float(lengths[: leg_end - stretch].sum())
+        near = (left_m < AIM_M) | (planned_left_m < AIM_M)  # who is beside its path there would turn for nothing
         aim = np.where(near, ahead[0], np.arctan2(way[:, 1], way[:, 0]))
         self._turn(wrap(aim - self.estimate[:, 2]), law)
-        distance = float(np.hypot(*planned[0]))
-        steps = max(int(np.ceil(distance / STEP_M)), 1)
+        distance = lengths[0] * np.where(near, 1.0, left_m / planned_left_m)
+        steps = max(int(np.ceil(lengths[0] / STEP_M)), 1)
         for _ in range(steps):
-            self._straight(np.full(self.count, distance / steps), law)
+            self._straight(distance / steps, law)
             self._touch()
 
     def _touch(self) -> None:
@@ -144,7 +148,8 @@ class Traversals:
         for vertex in self.walk.stops.get(station, ()):
             column = 6 + 3 * self.ids.index(vertex)
             corner = self.corners[:, self.ids.index(vertex)]
-            self._measure(self.robots, corner, 0, column, finder(self.map))
+            reach_m = model.reach_m if isinstance(model, WithCorners) else np.inf
+            self._measure(self.robots, corner, 0, column, finder(self.map), reach_m)
         if isinstance(model, Escorted):
             if station and model.watches(self.walk, station):
                 self._measure(self.partners, self.robots, 3, 0, tracker(self.map))
@@ -162,8 +167,13 @@ class Traversals:
         self.cov[:, :, 3:6] = self.cov[:, 3:6].transpose(0, 2, 1)
         self.cov[:, 3:6, 3:6] = self.cov[:, column : column + 3, column : column + 3] + cov
 
-    def _measure(self, observers, targets, observer: int, target: int, law: SightingLaw) -> None:
-        """A relative pose in the observer's axes, with noise along and across the line of sight, and its update."""
+    def _measure(
+        self, observers, targets, observer: int, target: int, law: SightingLaw, reach_m: float = np.inf
+    ) -> None:
+        """A relative pose in the observer's axes, with noise along and across the line of sight, and its update.
+
+        Who is truly farther away than the reach sees nothing.
+        """
         true, noise = _relative(observers, targets), np.zeros((self.count, 3, 3))
         for s in range(self.count):
             range_m, bearing = np.hypot(*true[s, :2]), np.arctan2(true[s, 1], true[s, 0])
@@ -171,22 +181,31 @@ class Traversals:
             noise[s] = turn @ law.line_covariance(float(range_m)) @ turn.T
         factors = np.linalg.cholesky(noise)
         measured = true + np.einsum("sij,sj->si", factors, self.rng.standard_normal((self.count, 3)))
-        seen_by, seen = self.estimate[:, observer : observer + 3], self.estimate[:, target : target + 3]
-        expected = _relative(seen_by, seen)
+        seen_at_all = np.hypot(*true[:, :2].T) <= reach_m
+        before, gain, jacobian = self.estimate, None, None
+        for _ in range(LOOKS):
+            seen_by, seen = self.estimate[:, observer : observer + 3], self.estimate[:, target : target + 3]
+            expected = _relative(seen_by, seen)
+            jacobian = self._jacobian(observer, target, expected)
+            innovation = measured - expected - np.einsum("sij,sj->si", jacobian, before - self.estimate)
+            innovation[:, 2] = wrap(innovation[:, 2])
+            across = jacobian @ self.cov
+            gain = np.linalg.solve(across @ jacobian.transpose(0, 2, 1) + noise, across).transpose(0, 2, 1)
+            gain[~seen_at_all] = 0.0
+            self.estimate = before + np.einsum("sij,sj->si", gain, innovation)
+        self.cov = self.cov - gain @ (jacobian @ self.cov)
+
+    def _jacobian(self, observer: int, target: int, expected: np.ndarray) -> np.ndarray:
+        """(count, 3, n) of the target's pose in the axes of its observer, (count, 3), at the estimate."""
         jacobian = np.zeros((self.count, 3, self.cov.shape[1]))
-        c, s = np.cos(seen_by[:, 2]), np.sin(seen_by[:, 2])
+        heading = self.estimate[:, observer + 2]
+        c, s = np.cos(heading), np.sin(heading)
         back = np.zeros((self.count, 3, 3))
         back[:, 0, 0], back[:, 0, 1], back[:, 1, 0], back[:, 1, 1], back[:, 2, 2] = c, s, -s, c, 1.0
         jacobian[:, :, target : target + 3] = back
         jacobian[:, :, observer : observer + 3] = -back
         jacobian[:, 0, observer + 2], jacobian[:, 1, observer + 2] = expected[:, 1], -expected[:, 0]
-        innovation = measured - expected
-        innovation[:, 2] = wrap(innovation[:, 2])
-        across = jacobian @ self.cov
-        spread = across @ jacobian.transpose(0, 2, 1) + noise
-        gain = np.linalg.solve(spread, across).transpose(0, 2, 1)
-        self.estimate += np.einsum("sij,sj->si", gain, innovation)
-        self.cov -= gain @ across
+        return jacobian
 
 
 def _relative(observers: np.ndarray, targets: np.ndarray) -> np.ndarray:
