@@ -1,7 +1,7 @@
 """What the sensors get wrong: true noise and the robots' belief about it are two objects of one kind.
 
-Odometry noise is a random walk, so it does not depend on the sampling rate. The values of `TYPICAL` are
-those of the paper's section 4: 3 cm after 1 m, 2 degrees of drift after 1 m, 3 degrees after a full turn.
+Odometry noise is a random walk, so it does not depend on the sampling rate. Its values in `TYPICAL`
+are those of the paper's section 4: 3 cm after 1 m, 2 degrees of drift after 1 m, 3 degrees after a full turn.
 """
 
 from dataclasses import dataclass, field, fields, replace

@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import chi2
 from tracker_scenes import CLEAN, SHEETS, error_of, full_scene, pictures, square_of
 
+from coopslam.errors import BadInput
 from coopslam.records import BearingRangeFix
 from coopslam.se2 import Pose2, rotation, wrap, xytheta
 from tracker.background import Background
@@ -142,6 +143,26 @@ def test_a_heading_that_is_known_too_badly_is_withheld():
     assert not found.heading_known
     fix = found.record(2.0, "ann", "bob")
     assert isinstance(fix, BearingRangeFix) and fix.range_m == pytest.approx(hypot(3.0, 0.5), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("helix", "expected"),
+    [
+        (replace(HELIX, radius_m=5.0, body=()), "radius_m: less than 3.14 expected, got 5"),
+        (
+            replace(HELIX, ring_m=0.0, lower_collar_m=0.0, upper_collar_m=0.0, pitch_m=10.0),
+            "ring_m: a ring, or a smaller pitch_m, expected",
+        ),
+    ],
+)
+def test_a_target_that_cannot_be_searched_for_is_one_line(helix, expected):
+    with pytest.raises(BadInput, match=expected):
+        HelixDetector(CAMERA, helix)
+
+
+def test_a_thin_target_needs_no_gigabytes():
+    thin = replace(HELIX, radius_m=0.005, body=())
+    assert HelixDetector(CAMERA, thin).detect(clean_picture(Pose2(2.0, 0.0, 0.3))) is None
 
 
 def test_farther_targets_are_found_when_they_are_looked_for():

@@ -25,6 +25,7 @@ from _accuracy_table import line_of, over_bound, table_of  # noqa: E402
 from _aruco_pose import ArucoPose  # noqa: E402
 from _cli import run  # noqa: E402
 from _empty_scenes import KINDS, empty_picture  # noqa: E402
+from _files import without_nan  # noqa: E402
 from _scenes import random_scene, sheet_of  # noqa: E402
 
 from coopslam.se2 import Pose2, wrap, xytheta  # noqa: E402
@@ -80,7 +81,7 @@ def test_a_line_of_nothing_is_all_dashes():
 @pytest.mark.parametrize(("events", "trials"), [(0, 2000), (3, 1000), (5, 5)])
 def test_the_rate_that_false_alarms_may_have(events, trials):
     expected = binomtest(events, trials, alternative="less").proportion_ci(0.95, method="exact").high
-    assert tracker_false_alarms.most_likely_rate(events, trials) == pytest.approx(expected)
+    assert tracker_false_alarms.upper_limit(events, trials) == pytest.approx(expected)
 
 
 def test_helix_and_cube_get_the_same_scenes():
@@ -214,7 +215,11 @@ def test_a_small_timing(capsys):
 
 @pytest.mark.parametrize("script", [tracker_accuracy, tracker_false_alarms, tracker_time])
 def test_bad_arguments_are_one_line(script, capsys):
-    for arguments in (["--seed", "x"], ["--poses" if script is tracker_accuracy else "--pictures", "0"]):
+    for arguments in (
+        ["--seed", "x"],
+        ["--seed", "-1"],
+        ["--poses" if script is tracker_accuracy else "--pictures", "0"],
+    ):
         with pytest.raises(SystemExit) as exit:
             script.main(arguments)
         assert exit.value.code == 2
@@ -227,5 +232,13 @@ def test_an_unknown_target_is_said(capsys):
     assert "--targets: helix, tag_cube expected" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("script", [tracker_accuracy, tracker_false_alarms])
+def test_a_file_in_the_place_of_the_directory_is_one_line(script, tmp_path, capsys):
+    (tmp_path / "taken").write_text("kept")
+    assert run(script.main, ["--out", str(tmp_path / "taken"), "--processes", "1"]) != 0
+    assert re.fullmatch(r".*taken: a directory expected to write to \(.*\)\n", capsys.readouterr().err)
+    assert (tmp_path / "taken").read_text() == "kept"
+
+
 def test_nan_is_not_json():
-    assert tracker_accuracy._without_nan({"a": [nan, 1.0], "b": nan}) == {"a": [None, 1.0], "b": None}
+    assert without_nan({"a": [nan, 1.0], "b": nan}) == {"a": [None, 1.0], "b": None}

@@ -126,6 +126,15 @@ def test_the_target_is_found_when_the_sheet_is_wrong():
             assert start.shift_px == pytest.approx(expected_px, abs=3.0)
 
 
+@pytest.mark.parametrize("forward_m", [0.15, -0.15])
+def test_the_target_is_found_when_its_axis_is_not_over_the_robot(forward_m):
+    sheet = replace(HELIX, helix=replace(HELIX.helix, forward_m=forward_m))
+    pose = Pose2(0.8 * np.cos(0.1), 0.8 * np.sin(0.1), 2.0)
+    settings, rng = RenderSettings(background=Background("plain")), np.random.default_rng(0)
+    start = find_target(render(sheet.camera, sheet.target, pose, settings, rng), sheet, 0.8, None, None)
+    assert abs(wrap(start.pose.theta() - 2.0)) < 0.2 and abs(start.shift_px) < 3.0
+
+
 def test_no_target_no_start():
     clutter = np.random.default_rng(0).integers(0, 255, (480, 640)).astype(np.uint8)
     assert find_target(clutter, HELIX, 2.0, None, None) is None

@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from coopslam.errors import UnderDetermined
-from coopslam.se2 import Pose2, position, rotation
+from coopslam.se2 import Pose2, position
 from tracker.calibration import FEWEST_PICTURES, Calibrated
 from tracker.calibration_edges import Expected, Located, View
 from tracker.calibration_fit import Fit, Shot, fit, measured_edges
 from tracker.calibration_noise import BIASES_PX, Noise, class_of, robust_weights, whitened
 from tracker.calibration_parameters import tolerances_of, values_of, with_values
 from tracker.data_sheet import DataSheet
+from tracker.information import sighting_sigmas
 
 ROUNDS = 6
 HEADING_SIGMA_RAD = 0.3  # so that the stripes, which may be found late, need not tell it at first
@@ -106,14 +107,7 @@ def expected_sigmas(
         raise UnderDetermined("the pose of the target is not tied down by its edges")
     inverse = np.linalg.inv(information)[-3:]
     alone, follows = inverse[:, -3:], inverse @ by_others.T @ by_parameters
-    return np.array([_sigmas(pose, each) for each in (alone, alone + follows @ cov @ follows.T)])
-
-
-def _sigmas(pose: Pose2, cov: np.ndarray) -> np.ndarray:
-    """(3,) of range, bearing, heading by a (3, 3) covariance in the observer's axes."""
-    turn = rotation(-np.arctan2(pose.y(), pose.x()))
-    along, across = np.sqrt(np.diag(turn @ cov[:2, :2] @ turn.T))
-    return np.array([along, across / np.hypot(*position(pose)), np.sqrt(cov[2, 2])])
+    return np.array([sighting_sigmas(pose, each) for each in (alone, alone + follows @ cov @ follows.T)])
 
 
 def _by_nominal(calibrated: Calibrated, k: int) -> Fit | None:

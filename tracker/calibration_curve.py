@@ -10,7 +10,6 @@ from tracker.data_sheet import DataSheet
 from tracker.edges import Kind, ModelEdges
 from tracker.tag_edges import KIND as TAG_SIDE
 
-LOWER, UPPER = 0, 1
 UPRIGHT = 0.7  # share of an edge's normal along the columns, from which on it is one of an end
 
 

@@ -21,7 +21,6 @@ LEAST_INSIDE_PX = 4.5  # from a silhouette, whose other side is unknown
 SHARED_PX = 2.0  # along an edge: profiles that are nearer share pixels, since each is interpolated between two rows
 COARSE_PX = 2.0  # sigma of a shift of the whole picture
 SEGMENT = 8  # points of a silhouette in a group
-SEGMENT = 8  # points of a silhouette in a group
 FACE = 100_000  # names of a tag's edges, per face
 
 

@@ -4,6 +4,7 @@ A wrong tilt or height of the camera moves the picture up or down, so the target
 and vertical shifts. The shift that is found is the first measurement of tilt and height.
 """
 
+import itertools
 from dataclasses import dataclass
 
 import cv2
@@ -78,8 +79,11 @@ def _best(image, camera: Camera, helix: Helix, distance_m: float, bearings, head
     heights = np.linspace(bottom, top, HEIGHTS)
     best = np.array([0.0, 0.0, 0.0, -1.0])
     azimuth, z = (each.ravel() for each in np.meshgrid(GENERATORS, heights, indexing="ij"))
-    for bearing in bearings:
+    # An axis that is not over the robot's reference point moves with the heading.
+    turns = [headings] if helix.forward_m == 0 else [[heading] for heading in headings]
+    for bearing, headings in itertools.product(bearings, turns):
         axis = distance_m * np.array([np.cos(bearing), np.sin(bearing)])
+        axis = axis + helix.forward_m * np.array([np.cos(headings[0]), np.sin(headings[0])])
         away = camera.mount.position_body[:2] - axis
         facing = np.arctan2(away[1], away[0])
         around = facing + azimuth

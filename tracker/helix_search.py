@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from coopslam.errors import BadInput
 from tracker.camera import Camera
 from tracker.helix import Helix
 
@@ -24,6 +25,7 @@ RING_PX = 4.5  # height of a ring above which a coarser picture will do
 FLAT_GREY = 4.0  # a generator with less contrast than this, one sigma, is flat
 TURN_SAMPLES = 5  # phases are averaged over so many generators within one step
 BEST = 40  # places among which candidates are looked for
+MOST_PLACES = 30_000  # that cv2.remap samples at once
 APART_RADII = 1.5  # candidates are so far apart, in the picture
 
 
@@ -45,7 +47,7 @@ class _Layer:
 
 
 class HelixSearch:
-    """Looks for one target with one camera."""
+    """Looks for one target with one camera. Raises BadInput for a target that cannot be searched for."""
 
     def __init__(self, camera: Camera, helix: Helix, farthest_m: float):
         self.templates = _templates(helix)
@@ -57,7 +59,7 @@ class HelixSearch:
         self.helix, self.camera = helix, camera
         self.middle = _middles(camera, helix, places)
 
-    def sampled(self, pyramid: list[np.ndarray]) -> np.ndarray:
+    def _sampled(self, pyramid: list[np.ndarray]) -> np.ndarray:
         """(SAMPLES, P) grey levels on the generators of all places, from below. pyramid: see pyramid_of."""
         layers = [
             cv2.remap(pyramid[layer.level], *layer.maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -67,11 +69,7 @@ class HelixSearch:
 
     def candidates(self, pyramid: list[np.ndarray], most: int, score_min: float) -> list[Candidate]:
         """The best places, best first. pyramid: as of pyramid_of, with `levels` levels."""
-        layers = [
-            cv2.remap(pyramid[layer.level], *layer.maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            for layer in self.layers
-        ]
-        grey = np.concatenate(layers, axis=1).astype(np.float32)
+        grey = self._sampled(pyramid)
         grey -= grey.mean(axis=0)
         norm = np.sqrt(np.einsum("sp,sp->p", grey, grey) + SAMPLES * FLAT_GREY**2)
         alike = (self.templates @ grey) / norm  # (PHASES, P)
@@ -132,10 +130,17 @@ def _neighbours(camera: Camera, places: np.ndarray, rows: np.ndarray) -> tuple[n
         for row in range(rows[-1] + 1):
             own, next_ = np.flatnonzero(rows == row), np.flatnonzero(rows == row + step)
             if len(next_):
-                nearest = np.abs(bearings[next_][None, :] - bearings[own][:, None]).argmin(axis=1)
-                other[own] = next_[nearest]
+                other[own] = next_[_nearest(bearings[own], bearings[next_])]
         found.append(other)
     return found[0], found[1]
+
+
+def _nearest(values: np.ndarray, falling: np.ndarray) -> np.ndarray:
+    """(N,) which of some falling numbers is nearest to each value."""
+    after = np.searchsorted(-falling, -values).clip(1, max(len(falling) - 1, 1))
+    before = after - 1
+    after = after.clip(max=len(falling) - 1)
+    return np.where(np.abs(falling[after] - values) < np.abs(falling[before] - values), after, before)
 
 
 def _templates(helix: Helix) -> np.ndarray:
@@ -148,7 +153,10 @@ def _templates(helix: Helix) -> np.ndarray:
     azimuths = step * np.arange(PHASES)[:, None] + turns
     light = 1.0 - helix.is_dark(azimuths[:, :, None, None], z[None, None]).mean(axis=(1, 3))
     light -= light.mean(axis=1, keepdims=True)
-    return (light / np.linalg.norm(light, axis=1, keepdims=True)).astype(np.float32)
+    contrast = np.linalg.norm(light, axis=1, keepdims=True)
+    if not contrast.min() > 0:
+        raise BadInput("ring_m: a ring, or a smaller pitch_m, expected: a part of the pattern is all of one colour")
+    return (light / contrast).astype(np.float32)
 
 
 def _heights(helix: Helix) -> np.ndarray:
@@ -160,6 +168,8 @@ def _heights(helix: Helix) -> np.ndarray:
 def _places(camera: Camera, helix: Helix, farthest_m: float) -> tuple[np.ndarray, np.ndarray]:
     """(P, 2) axes in the observer's body, by distance, then from left to right; (P,) number of the distance."""
     nearest = NEAREST_RADII * helix.radius_m
+    if not nearest < farthest_m:
+        raise BadInput(f"radius_m: less than {farthest_m / NEAREST_RADII:.3g} expected, got {helix.radius_m:g}")
     count = int(np.ceil(np.log(farthest_m / nearest) / np.log(DISTANCE_RATIO))) + 1
     pixels = np.array([[-0.5, v] for v in np.linspace(0, camera.lens.height_px - 1, 9)])
     pixels = np.concatenate([pixels, pixels + [camera.lens.width_px, 0]])
@@ -189,7 +199,9 @@ def _layers(camera: Camera, helix: Helix, places: np.ndarray) -> list[_Layer]:
     for each in sorted(set(level.tolist()), reverse=True):
         own = pixels[:, level == each]
         where = (own / 2**each).clip(-1e3, 3e4).astype(np.float32)
-        layers.append(_Layer(each, cv2.convertMaps(where, None, cv2.CV_16SC2)))
+        for first in range(0, where.shape[1], MOST_PLACES):
+            part = np.ascontiguousarray(where[:, first : first + MOST_PLACES])
+            layers.append(_Layer(each, cv2.convertMaps(part, None, cv2.CV_16SC2)))
     return layers
 
 

@@ -24,7 +24,8 @@ from tracker.render import RenderSettings, render, target_box
 from tracker.sensor import Sensor
 from tracker.target import Solid, Target
 
-STEP_PX = 0.15  # how far a difference moves the fastest point of the marked solid; edges are rendered true to 0.001
+# How far a difference moves the fastest point of the marked solid; an edge alone in a cell is rendered true to 0.001.
+STEP_PX = 0.15
 PROBE = 1e-4  # m or rad, to find that out
 DEFOCUS_STEP_PX = 0.05
 MOTION_STEP_PX = 0.1
@@ -55,7 +56,7 @@ class _Window:
 
     drawn: tuple[slice, slice]  # of the cells
     read: tuple[slice, slice]  # of the pixels that are drawn: beyond it, blur would need what is not drawn
-    vignette: np.ndarray  # share of the light that arrives, of `drawn`
+    vignette: np.ndarray  # share of the light that arrives, of the pixels that are drawn
 
     def exposed(self, radiance: np.ndarray, sensor: Sensor) -> np.ndarray:
         """(P,) grey levels before noise and rounding, from the radiance of the drawn part."""

@@ -1,7 +1,7 @@
 """What the camera of one robot sees of the other: exact perspective, Lambert's law, a sensor with blur and noise.
 
-radiance = reflectance * (ambient + direct * max(0, normal . light)),  area-sampled over each pixel
-picture  = Sensor.picture(radiance over background, under what is in front)
+radiance = reflectance * (ambient + direct * max(0, normal . light)),  area-sampled over cells of half a pixel
+picture  = Sensor.picture(radiance over background, under what is in front);  the background is sampled over pixels
 """
 
 from dataclasses import dataclass, field

@@ -40,6 +40,13 @@ def count(text: str) -> int:
     return int(text)
 
 
+def whole(text: str) -> int:
+    """An argument of the command line."""
+    if not text.isdecimal():
+        raise ArgumentTypeError(f"a whole number of zero or more expected, got {text[:60]!r}")
+    return int(text)
+
+
 def _shown(results: Iterable[Result], total: int, title: str) -> Iterable[Result]:
     """The same with a bar on a terminal, with a line now and then elsewhere."""
     console = Console(stderr=True)

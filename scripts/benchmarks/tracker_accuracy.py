@@ -5,14 +5,11 @@ bound that the noise of the pixels sets. `aruco` is the library's pose of the la
 Written: samples.csv (a line for each picture and method), summary.json (the tables), accuracy.png.
 """
 
-import csv
 import json
 import os
 import sys
 from argparse import ArgumentTypeError, Namespace
 from collections.abc import Sequence
-from dataclasses import asdict, fields
-from math import isnan
 from pathlib import Path
 
 os.environ["OMP_NUM_THREADS"] = "1"
@@ -21,7 +18,8 @@ sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
 from _accuracy import Job, Sample, sampled
 from _accuracy_table import line_of, table_of
 from _cli import OneLineParser, run
-from _jobs import count, in_processes
+from _files import make_directory, without_nan, write_csv
+from _jobs import count, in_processes, whole
 from _scenes import BACKGROUNDS, RANGES_M, SIZES, TARGETS
 
 from coopslam.report.tracker_figures import draw_tracker_accuracy
@@ -32,16 +30,16 @@ OUT = Path("runs/tracker_accuracy")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Take and measure all pictures, print the tables. Returns the exit code."""
     options = _parser().parse_args(arguments)
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_directory(options.out)
     found = in_processes(sampled, _jobs(options), options.processes, "pictures")
     samples = [sample for pair in found for sample in pair]
-    _write_csv(options.out / "samples.csv", samples)
+    write_csv(options.out / "samples.csv", samples)
     tables = _tables(samples)
     for table in tables:
         kind = ", partly hidden" if table["occluded"] else ""
         print(f"\n{table['method']} at {table['size']}{kind}, seed {options.seed}")
         print(table_of([*table["lines"], *table["backgrounds"], table["all"]]), flush=True)
-    text = json.dumps(_without_nan({"seed": options.seed, "tables": tables}), indent=1, allow_nan=False)
+    text = json.dumps(without_nan({"seed": options.seed, "tables": tables}), indent=1, allow_nan=False)
     (options.out / "summary.json").write_text(text + "\n", encoding="utf-8")
     shown = [table for table in tables if table["occluded"] == options.occluded]
     print(f"\n{draw_tracker_accuracy(shown, options.out / 'accuracy.png')}")
@@ -75,30 +73,14 @@ def _tables(samples: Sequence[Sample]) -> list[dict]:
     return tables
 
 
-def _without_nan(data):
-    """The same with None for NaN, which JSON does not have."""
-    if isinstance(data, dict):
-        return {key: _without_nan(value) for key, value in data.items()}
-    if isinstance(data, list):
-        return list(map(_without_nan, data))
-    return None if isinstance(data, float) and isnan(data) else data
-
-
-def _write_csv(path: Path, samples: Sequence[Sample]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Sample)])
-        writer.writeheader()
-        writer.writerows(map(asdict, samples))
-
-
 def _parser() -> OneLineParser:
     parser = OneLineParser(prog="tracker_accuracy.py", description=__doc__)
     parser.add_argument("--targets", type=_some_of(TARGETS), default=TARGETS, help="default: helix,tag_cube")
     parser.add_argument("--sizes", type=_some_of(SIZES), default=SIZES, help="pixels; default: 640x480,1280x960")
     parser.add_argument("--poses", type=count, default=504, help="of each target and size; default: %(default)s")
-    parser.add_argument("--bounds", type=int, default=1000, help="pictures of a range with a bound; default: all")
+    parser.add_argument("--bounds", type=whole, default=1000, help="pictures of a range with a bound; default: all")
     parser.add_argument("--occluded", action="store_true", help="hide 10 to 40 %% of the target in each picture")
-    parser.add_argument("--seed", type=int, default=0, help="of all random numbers; default: %(default)s")
+    parser.add_argument("--seed", type=whole, default=0, help="of all random numbers; default: %(default)s")
     parser.add_argument("--processes", type=count, default=2, help="default: %(default)s")
     help_out = "directory of the files, which are replaced; default: %(default)s"
     parser.add_argument("--out", metavar="DIR", type=Path, default=OUT, help=help_out)

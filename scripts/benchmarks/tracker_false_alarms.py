@@ -1,7 +1,7 @@
 """How often a detector sees a robot where there is none: rooms, stripes, people, banded columns, mosaics like tags.
 
 Both detectors look at the same pictures. A picture with a false detection is written, drawn over with what was found.
-The last column is the rate that is exceeded with 5 % confidence at most (Clopper and Pearson 1934, one-sided).
+The last line is the one-sided 95 % upper limit of the rate (Clopper and Pearson 1934).
 """
 
 import os
@@ -18,7 +18,8 @@ import cv2
 import numpy as np
 from _cli import OneLineParser, run
 from _empty_scenes import KINDS, empty_picture
-from _jobs import count, in_processes
+from _files import make_directory
+from _jobs import count, in_processes, whole
 from _scenes import SIZES, TARGETS, sheet_of
 from scipy.stats import beta
 
@@ -45,7 +46,7 @@ class Job:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Take all pictures, print a line for each kind. Returns the exit code."""
     options = _parser().parse_args(arguments)
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_directory(options.out)
     for old in options.out.glob("false_*.png"):
         old.unlink()
     kinds = [KINDS[k % len(KINDS)] for k in range(options.pictures)]
@@ -57,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         own = [each for each, job in zip(alarms, jobs, strict=True) if job.kind == kind]
         _print(kind, len(own), own)
     _print("all", len(jobs), alarms)
-    limits = [most_likely_rate(sum(target in each for each in alarms), len(jobs)) for target in TARGETS]
+    limits = [upper_limit(sum(target in each for each in alarms), len(jobs)) for target in TARGETS]
     print(
         f"{'rate at most':19s} " + " ".join(f"{limit:10.2%}" for limit in limits) + f"  ({CONFIDENCE:.0%} confidence)"
     )
@@ -79,7 +80,7 @@ def looked_at(job: Job) -> tuple[str, ...]:
     return tuple(wrong)
 
 
-def most_likely_rate(events: int, trials: int) -> float:
+def upper_limit(events: int, trials: int) -> float:
     """Upper end of the one-sided interval of a binomial rate."""
     return 1.0 if events == trials else float(beta.ppf(CONFIDENCE, events + 1, trials - events))
 
@@ -111,7 +112,7 @@ def _parser() -> OneLineParser:
     parser = OneLineParser(prog="tracker_false_alarms.py", description=__doc__)
     parser.add_argument("--pictures", type=count, default=2000, help="of all kinds together; default: %(default)s")
     parser.add_argument("--size", choices=SIZES, default=SIZES[0], help="pixels; default: %(default)s")
-    parser.add_argument("--seed", type=int, default=0, help="of all random numbers; default: %(default)s")
+    parser.add_argument("--seed", type=whole, default=0, help="of all random numbers; default: %(default)s")
     parser.add_argument("--processes", type=count, default=2, help="default: %(default)s")
     help_out = "directory of the pictures with false detections, which are replaced; default: %(default)s"
     parser.add_argument("--out", metavar="DIR", type=Path, default=OUT, help=help_out)

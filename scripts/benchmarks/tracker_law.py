@@ -8,13 +8,12 @@ Rigs whose calibration calibrate_tracker.py warns of are left out of the first t
 Written: samples.csv (a line for each picture), summary.json (tables and laws).
 """
 
-import csv
 import json
 import os
 import sys
 from argparse import ArgumentTypeError, Namespace
 from collections.abc import Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
 
@@ -23,7 +22,8 @@ sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
 
 import numpy as np
 from _cli import OneLineParser, run
-from _jobs import count, in_processes
+from _files import make_directory, without_nan, write_csv
+from _jobs import count, in_processes, whole
 from _law import Line, fitted_line, normalized_square, resampled, rms, robust_sigma, share_between
 from _rigs import CALIBRATED, PERFECT, SIZE, BuildErrors, RigJob, RigResult, Sighting, used_rig
 from _scenes import RANGES_M, sheet_of
@@ -49,12 +49,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     sheet = sheet_of("helix", SIZE)
     estimated = require_known(sheet, options.estimate or usual_parameters(sheet))
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_directory(options.out)
     errors = BuildErrors(options.tolerances, options.focal_sigma, options.ring_sigma)
     jobs = [RigJob(k, options.pictures, options.seed, options.perfect, estimated, errors) for k in range(options.rigs)]
     rigs = in_processes(used_rig, jobs, options.processes, "rigs")
     sightings = [sighting for rig in rigs for sighting in rig.sightings]
-    _write_csv(options.out / "samples.csv", sightings)
+    write_csv(options.out / "samples.csv", sightings)
     summary = _settings(options, estimated, errors) | {"rigs_left": _left(rigs)}
     print(_rigs_text(rigs, summary["rigs_left"]))
     for title, own in _kinds(rigs, sightings):
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise UnderDetermined(f"{title}: no picture shows the target")
         summary[title] = law_of(own, options.seed)
         print(f"\n{title}: {SIZE}, seed {options.seed}\n{table_of(summary[title])}", flush=True)
-    text = json.dumps(_without_nan(summary), indent=1, allow_nan=False)
+    text = json.dumps(without_nan(summary), indent=1, allow_nan=False)
     (options.out / "summary.json").write_text(text + "\n", encoding="utf-8")
     return 0
 
@@ -201,22 +201,6 @@ def _settings(options: Namespace, estimated: Sequence[str], errors: BuildErrors)
     return {name: getattr(options, name) for name in names} | {"estimated": list(estimated)} | asdict(errors)
 
 
-def _without_nan(data):
-    """The same with None for NaN, which JSON does not have."""
-    if isinstance(data, dict):
-        return {key: _without_nan(value) for key, value in data.items()}
-    if isinstance(data, list):
-        return list(map(_without_nan, data))
-    return None if isinstance(data, float) and not isfinite(data) else data
-
-
-def _write_csv(path: Path, sightings: Sequence[Sighting]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Sighting)])
-        writer.writeheader()
-        writer.writerows(map(asdict, sightings))
-
-
 def _parser() -> OneLineParser:
     parser = OneLineParser(prog="tracker_law.py", description=__doc__)
     parser.add_argument("--rigs", type=count, default=10, help="default: %(default)s")
@@ -234,7 +218,7 @@ def _parser() -> OneLineParser:
     parser.set_defaults(
         tolerances=errors.tolerance_share, focal_sigma=errors.focal_sigma, ring_sigma=errors.ring_sigma_m
     )
-    parser.add_argument("--seed", type=int, default=0, help="of all random numbers; default: %(default)s")
+    parser.add_argument("--seed", type=whole, default=0, help="of all random numbers; default: %(default)s")
     parser.add_argument("--processes", type=count, default=2, help="default: %(default)s")
     help_out = "directory of the files, which are replaced; default: %(default)s"
     parser.add_argument("--out", metavar="DIR", type=Path, default=OUT, help=help_out)

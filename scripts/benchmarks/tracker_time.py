@@ -18,7 +18,7 @@ sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
 import numpy as np
 from _aruco_pose import REFINEMENTS, aruco_detector
 from _cli import OneLineParser, run
-from _jobs import count, one_thread
+from _jobs import count, one_thread, whole
 from _scenes import (
     BACKGROUNDS,
     RANGES_M,
@@ -99,7 +99,7 @@ def _parser() -> OneLineParser:
     parser.add_argument("--pictures", type=count, default=48, help="of each kind; default: %(default)s")
     parser.add_argument("--repetitions", type=count, default=5, help="of each picture; default: %(default)s")
     parser.add_argument("--size", choices=SIZES, default=SIZES[0], help="pixels; default: %(default)s")
-    parser.add_argument("--seed", type=int, default=0, help="of all random numbers; default: %(default)s")
+    parser.add_argument("--seed", type=whole, default=0, help="of all random numbers; default: %(default)s")
     return parser
 
 
