@@ -125,9 +125,8 @@ def shown(pixels: Pixels, helix: Helix, camera_height_m: float, axis, heading: f
     mills = edge / cover
     moves = np.maximum(1 - mills * (mills + inside), 0.0)
     sign = np.sign(q)
-    middle = np.minimum(
-        np.maximum(q - sign * smear * mills, -radius), radius
-    )  # of what the blur leaves of q within the silhouette; `apart` is its sigma
+    # of what the blur leaves of q within the silhouette; `apart` is its sigma
+    middle = np.minimum(np.maximum(q - sign * smear * mills, -radius), radius)
     apart = smear * np.sqrt(moves)
     aside = np.stack([middle + apart, middle - apart])
     aside = np.minimum(np.maximum(aside, -radius), radius)
@@ -143,10 +142,7 @@ def shown(pixels: Pixels, helix: Helix, camera_height_m: float, axis, heading: f
     rise_sq = upright * (upright * pixels.climb_sq - climbing * tilted) + climbing * climbing
     winding = climbing - slope * turning
     skew_sq = upright * (upright * pixels.climb_sq - winding * tilted) + winding * winding
-    rise, skew = np.sqrt(rise_sq), np.sqrt(skew_sq)
-    bow = pixels.climb * (
-        depth - (w[0] + w[1]) / 2
-    )  # mean over the blur less what is in its middle; counts along edges
+    bow = pixels.climb * (depth - (w[0] + w[1]) / 2)  # mean over the blur, less its middle; counts along edges
     height = np.float32(camera_height_m) + pixels.climb * distance
     sine = middle / radius
     middle_arc = np.arcsin(sine)
@@ -154,10 +150,28 @@ def shown(pixels: Pixels, helix: Helix, camera_height_m: float, axis, heading: f
     turned = pixels.azimuth + middle_arc + np.float32(np.pi - heading - helix.start_rad)
     screw = height - np.float32(helix.helix_bottom_m) - slope * turned + twist * (1 - winding * winding / skew_sq)
     height += bow * (1 - climbing * climbing / rise_sq)
+    return Shown(
+        **_pattern(helix, height, screw, np.sqrt(rise_sq), np.sqrt(skew_sq)),
+        cover=cover,
+        cover_by_aside=-sign * edge / smear,
+        cover_by_blur=-edge * inside,
+        sine=sine,
+        cosine=depth / radius,
+        tangent=(aside[0] / w[0] + aside[1] / w[1]) / 2,
+        turning=(1 / w[0] + 1 / w[1]) / 2,
+        moves=moves,
+    )
+
+
+def _pattern(helix: Helix, height, screw, rise, skew) -> dict:
+    """What depends on the pattern alone: (N,) fields of Shown.
+
+    height: (N,) of what is met, m; screw: that less the rise of the screw; rise, skew: sigmas of both within the blur.
+    """
     period = np.float32(helix.pitch_m / helix.stripes)
     up, down = (screw - np.float32(edge) * period for edge in (0.0, helix.duty))
     up, down = up - period * np.rint(up / period), down - period * np.rint(down / period)
-    x = np.empty((8, len(p)), np.float32)
+    x = np.empty((8, len(height)), np.float32)
     ends = helix.bottom_m, helix.top_m, helix.helix_bottom_m, helix.helix_top_m
     low, high = helix.bottom_m - helix.lower_collar_m, helix.top_m + helix.upper_collar_m
     for k, end in enumerate((*ends, low, high)):
@@ -172,25 +186,14 @@ def shown(pixels: Pixels, helix: Helix, camera_height_m: float, axis, heading: f
     light = 1 - step[0] + step[1] - step[6] + step[7]
     light += open_ * (step[2] - step[3])
     moment = bell * x
-    return Shown(
-        light=light,
-        **_slopes(bell, free, open_, rise, skew),
-        by_blur=moment[0] - moment[1] + moment[6] - moment[7] - open_ * (moment[2] - moment[3]),
-        cover=cover,
-        cover_by_aside=-sign * edge / smear,
-        cover_by_blur=-edge * inside,
-        below=1 - step[4],
-        above=step[5],
-        sine=sine,
-        cosine=depth / radius,
-        tangent=(aside[0] / w[0] + aside[1] / w[1]) / 2,
-        turning=(1 / w[0] + 1 / w[1]) / 2,
-        moves=moves,
-        corner=(near[0][0] + near[0][1]) * (near[1][0] + near[1][1]),
-    )
-
-
-def _slopes(bell, free, open_, rise, skew) -> dict:
     held = ~free
     by_height = bell[1] - bell[0] + open_ * (bell[2] - bell[3]) - held[0] * bell[6] + held[1] * bell[7]
-    return {"by_height": by_height / rise, "by_screw": (free[1] * bell[7] - free[0] * bell[6]) / skew}
+    return {
+        "light": light,
+        "by_height": by_height / rise,
+        "by_screw": (free[1] * bell[7] - free[0] * bell[6]) / skew,
+        "by_blur": moment[0] - moment[1] + moment[6] - moment[7] - open_ * (moment[2] - moment[3]),
+        "below": 1 - step[4],
+        "above": step[5],
+        "corner": (near[0][0] + near[0][1]) * (near[1][0] + near[1][1]),
+    }
